@@ -19,6 +19,7 @@ from typing import cast
 
 import numpy as np
 
+import rteval_report
 import watched
 from logs import LOGS_2014, SUITES
 from rtfiles import config
@@ -50,6 +51,8 @@ from rtrun.results.gnuplot_lines import check_commands
 from rtrun.results.importers.adopt import adopt
 from rtrun.results.importers.detect import read
 from rtrun.results.importers.histogram_file import ENDING, histogram_text, read_histogram
+from rtrun.results.importers.samples_file import ENDING as SAMPLES_ENDING
+from rtrun.results.importers.samples_file import ImportedSamples, read_imported_samples, write_samples
 from rtrun.results.observed import ObservedOutput, Provenance, TracedValue, write_stream
 from rtrun.results.record import (
     Clock,
@@ -258,6 +261,29 @@ CYCLICTEST_JSON = json.dumps(
 JITTERDEBUGGER = json.dumps(
     {"version": 3, "sysinfo": {"resolution_in_ns": 1000, "cpus_online": 2}, "cpu": {"0": {**_THREAD, "count": 10}}}
 ).encode()
+CYCLICTEST_V = b"Thread 0 Interval: 1000\n" + b"".join(
+    b"%8d:%8d:%8d\n" % (thread, counter, value) for counter, value in enumerate((5, 7, 64, 9)) for thread in (0, 1)
+)
+CYCLICTEST_VH = (
+    CYCLICTEST_V
+    + b"""
+# Histogram
+000005 000001\t000001
+000007 000001\t000001
+000009 000001\t000001
+# Min Latencies: 00005 00005
+# Avg Latencies: 00021 00021
+# Max Latencies: 00064 00064
+# Histogram Overflows: 00001 00001
+# Histogram Overflow at cycle number:
+# Thread 0: 00002
+# Thread 1: 00002
+"""
+)
+RTEVAL = [
+    rteval_report.report(version=version, profile=profile, stopped_above_us=10).encode()
+    for version, profile in (("3.11", False), ("2.14", True))
+]
 BOARD = json.dumps(
     {
         "schema": 2, "machine": "qemu-armv7", "kernel": "vmlinuz", "initrd": "initrd", "dtb": None,
@@ -371,6 +397,16 @@ def _histogram() -> bytes:
         path = Path(folder) / "x.txt"
         path.write_bytes(CYCLICTEST)
         return histogram_text(read(path)[0]).encode()
+
+
+def _samples() -> Files:
+    values_ns = np.array([5000, 0, 64_000], dtype=np.int64)
+    one = ImportedSamples(
+        source="x", name="x", values_ns=values_ns, period_ns=1e6, left_out=("the unit",), parameters={}
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        write_samples(Path(folder), one)
+        return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
 
 
 # Files of ours.
@@ -745,12 +781,17 @@ READERS: dict[str, Reader] = {
     "import": Reader(
         read=_adopt,
         seeds=[
-            *({"x.txt": text} for text in (CYCLICTEST, TIMERLAT)),
+            *({"x.txt": text} for text in (CYCLICTEST, CYCLICTEST_V, CYCLICTEST_VH, TIMERLAT)),
+            *({"x.xml": text} for text in RTEVAL),
             *({"x.json": text} for text in (CYCLICTEST_JSON, JITTERDEBUGGER)),
             *({"x.log": text} for text in LOGS),
         ],
     ),
     "histogram": of_file(read_histogram, f"x{ENDING}", _histogram()),
+    "imported samples": Reader(
+        read=lambda folder: series.series_of_imported_samples(read_imported_samples(folder / f"x{SAMPLES_ENDING}")),
+        seeds=[_samples()],
+    ),
     "journal": of_file(_journal, journal.NAME, _new_journal()),
     "goal": Reader(read=goal_file.read_goal, seeds=[{goal_file.FILE: _goal()}]),
     # Of a build.

@@ -9,9 +9,12 @@ import math
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+from xml.parsers import expat
 
 from rtfiles.errors import UsageError
 
@@ -20,6 +23,7 @@ JSON_BYTES_MAX = 16 * MIB
 # An empty list takes 3 bytes of JSON and 64 of memory: the size of the text alone does not limit the memory.
 JSON_ITEMS_MAX = 500_000
 JSON_DEPTH_MAX = 32
+XML_DEPTH_MAX = 64
 LINE_CHARACTERS_MAX = 262_144
 # Python refuses longer numbers only above 4300 digits, and those that it takes cost quadratic time.
 DIGITS_MAX = 20
@@ -27,21 +31,33 @@ INT64_MAX = 2**63 - 1
 _WHOLE_NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS_MAX}}}", re.ASCII)
 
 
-def read_bytes(path: Path, *, max_bytes: int) -> bytes:
-    """Return the content of a regular file. Raises UsageError; a pipe or a device is refused, it never blocks."""
+@contextmanager
+def _regular_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a regular file. Raises UsageError, within as well; a pipe or a device is refused, it never blocks."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(handle, "rb") as stream:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
                 raise UsageError(f"{path}: not a regular file")
-            data = stream.read(max_bytes + 1)
+            yield stream
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror or error}") from error
     except ValueError as error:  # a NUL in the path
         raise UsageError(f"{str(path)!r}: {error}") from error
+
+
+def read_bytes(path: Path, *, max_bytes: int) -> bytes:
+    """Return the content of a regular file. Raises UsageError; a pipe or a device is refused, it never blocks."""
+    data = read_beginning(path, max_bytes=max_bytes + 1)
     if len(data) > max_bytes:
         raise UsageError(f"{path}: larger than {max_bytes} bytes")
     return data
+
+
+def read_beginning(path: Path, *, max_bytes: int) -> bytes:
+    """Return the first bytes of a regular file that may have any size. Raises UsageError as `read_bytes` does."""
+    with _regular_file(path) as stream:
+        return stream.read(max_bytes)
 
 
 def read_end(path: Path, *, max_bytes: int) -> bytes:
@@ -72,6 +88,17 @@ def lines_of(text: str, origin: str) -> Iterator[str]:
             raise UsageError(f"{origin}:{number}: a line of more than {LINE_CHARACTERS_MAX} characters")
         yield text[start:end].removesuffix("\r")
         start, number = end + 1, number + 1
+
+
+def lines_in(path: Path) -> Iterator[bytes]:
+    """Yield the lines of a regular file that may have any size, with their ends. Raises UsageError as `lines_of`."""
+    with _regular_file(path) as stream:
+        number = 1
+        while line := stream.readline(LINE_CHARACTERS_MAX + 2):
+            if len(line) > LINE_CHARACTERS_MAX and len(line.rstrip(b"\r\n")) > LINE_CHARACTERS_MAX:
+                raise UsageError(f"{path}:{number}: a line of more than {LINE_CHARACTERS_MAX} characters")
+            yield line
+            number += 1
 
 
 def parse_json(text: str, origin: str, *, max_bytes: int = JSON_BYTES_MAX, max_items: int = JSON_ITEMS_MAX) -> Any:
@@ -118,6 +145,66 @@ def _check(data: Any) -> None:
                 text(each)
             elif isinstance(each, dict | list):
                 waiting.append((each, depth + 1))
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class XmlElement:
+    """An element of XML: the names of those that it lies in and its own, its attributes, its own text, its line."""
+
+    path: tuple[str, ...]
+    attributes: Mapping[str, str]
+    text: str
+    line: int
+
+
+@dataclass(kw_only=True, slots=True)
+class _OpenElement:
+    name: str
+    attributes: Mapping[str, str]
+    line: int
+    text: list[str] = field(default_factory=list)
+
+
+def parse_xml(text: str, origin: str, take: Callable[[XmlElement], None]) -> None:
+    """Give each element of an XML text to `take` where it ends, so that those within it come before it.
+
+    Nothing but the elements that are open is held. A document type is refused, and with it every entity of its own.
+    Raises UsageError, as `take` may.
+    """
+    start = 0
+    while start < len(text):  # a tag holds no <, so this limits its attributes, too
+        end = text.find("<", start)
+        end = len(text) if end < 0 else end
+        if end - start > LINE_CHARACTERS_MAX:
+            raise UsageError(f"{origin}: more than {LINE_CHARACTERS_MAX} characters without a <")
+        start = end + 1
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    waiting: list[_OpenElement] = []
+
+    def begin(name: str, attributes: dict[str, str]) -> None:
+        line = parser.CurrentLineNumber
+        if len(waiting) == XML_DEPTH_MAX:
+            raise UsageError(f"{origin}:{line}: nested more than {XML_DEPTH_MAX} deep")
+        waiting.append(_OpenElement(name=name, attributes=attributes, line=line))
+
+    def finish(_: str) -> None:
+        path = tuple(each.name for each in waiting)
+        last = waiting.pop()
+        take(XmlElement(path=path, attributes=last.attributes, text="".join(last.text).strip(), line=last.line))
+
+    def refuse(*_: object) -> None:
+        raise UsageError(f"{origin}:{parser.CurrentLineNumber}: a document type, which nothing that is read here has")
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, finish
+    parser.CharacterDataHandler = lambda words: waiting[-1].text.append(words)
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise UsageError(f"{origin}:{error.lineno}: not XML: {expat.ErrorString(error.code)}") from error
+    except ValueError as error:  # half of a character
+        raise UsageError(f"{origin}: not XML: {error}") from error
 
 
 def text(word: str) -> str:

@@ -7,7 +7,7 @@ from rtrun.commands._question import argument
 from rtrun.plan.quantities import read_interval_us
 
 NAME = "import"
-HELP = "make run directories of 2014 logs and of histograms of cyclictest, jitterdebugger and rtla timerlat"
+HELP = "make run directories of 2014 logs and of what cyclictest, jitterdebugger, rtla timerlat and rteval wrote"
 EXAMPLES = (
     "rtrun import cyclictest.hist --platform hardware --board farm-7 --interval 200us",
     "rtrun import 2014.log --platform hardware --results results/2014",

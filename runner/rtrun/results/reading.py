@@ -13,6 +13,7 @@ from rtrun.plan.question import Measure
 from rtrun.plan.suites import log_names
 from rtrun.plan.trace import WARM_UP
 from rtrun.results.gnuplot_log import read_log
+from rtrun.results.importers import samples_file
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
 from rtrun.results.record import FILE, RunRecord, RunStatus, check_file, is_closed, read_record
 from rtrun.results.samples import EMPTY_BYTES, read_samples
@@ -22,6 +23,7 @@ from rtrun.results.series import (
     period_of,
     results_of,
     series_of_histogram,
+    series_of_imported_samples,
     series_of_log,
     series_of_samples,
 )
@@ -87,6 +89,12 @@ def _series_of_output(folder: Path, record: RunRecord, output: str, of: Measure 
     if f"{output}{ENDING}" in record.files:
         check_file(folder, record, output + ENDING)
         yield series_of_histogram(read_histogram(folder / f"{output}{ENDING}"), of)
+    elif f"{output}{samples_file.ENDING}" in record.files:
+        for ending in (samples_file.ROWS_ENDING, samples_file.ENDING):
+            check_file(folder, record, output + ending)
+        yield series_of_imported_samples(
+            samples_file.read_imported_samples(folder / f"{output}{samples_file.ENDING}"), of
+        )
     elif f"{output}.npy" in record.files:
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)

@@ -1,4 +1,4 @@
-"""One series of one output, from samples, a log or an imported histogram: every figure and verdict begins here.
+"""One series of one output, from samples, a log or what was imported: every figure and verdict begins here.
 
 The start-up values are set apart here, so that they stand apart in all that is said of the series.
 """
@@ -24,6 +24,7 @@ from rtrun.targets.inspection.platform import Platform
 if TYPE_CHECKING:
     from rtrun.results.gnuplot_log import Log
     from rtrun.results.importers.histogram_file import Imported
+    from rtrun.results.importers.samples_file import ImportedSamples
 
 MEASURED_2014 = "measured_2014"
 # What to say wherever such a series is shown.
@@ -241,26 +242,42 @@ def series_of_log(log: "Log", of: Measure | None = None) -> HistogramSeries:
 
 def series_of_histogram(imported: "Imported", of: Measure | None = None) -> HistogramSeries:
     """The series in a histogram of another program. Raises UsageError for a question of its jitter."""
-    try:
-        judged(("latency",), of)
-    except UsageError as error:
-        raise UsageError(f"{imported.name}: {imported.source} {error}") from None
     return HistogramSeries(
-        header=Header(
-            run=imported.name,
-            suite=imported.source,
-            output=imported.name,
-            series="latency",
-            of="latency",
-            main=True,
-            parameters=dict(imported.parameters),
-            period_ns=imported.period_ns,
-            remarks=tuple(f"not known: {text}" for text in imported.left_out),
-        ),
+        header=_header_of(imported, of, undecidable=imported.undecidable),
         histogram=imported.histogram,
         top=(),
         lowest=(),
         absent_count=0,
+    )
+
+
+def series_of_imported_samples(imported: "ImportedSamples", of: Measure | None = None) -> SampleSeries:
+    """The series in samples of another program. Raises UsageError for a question of its jitter."""
+    values_ns = imported.values_ns
+    return SampleSeries(
+        header=_header_of(imported, of),
+        values_ns=np.ascontiguousarray(values_ns),
+        index=np.arange(values_ns.size, dtype=np.int64),
+        absent=np.empty(0, dtype=np.int64),
+    )
+
+
+def _header_of(imported: "Imported | ImportedSamples", of: Measure | None, undecidable: str = "") -> Header:
+    try:
+        judged(("latency",), of)
+    except UsageError as error:
+        raise UsageError(f"{imported.name}: {imported.source} {error}") from None
+    return Header(
+        run=imported.name,
+        suite=imported.source,
+        output=imported.name,
+        series="latency",
+        of="latency",
+        main=True,
+        parameters=dict(imported.parameters),
+        period_ns=imported.period_ns,
+        undecidable=undecidable,
+        remarks=tuple(f"not known: {text}" for text in imported.left_out),
     )
 
 

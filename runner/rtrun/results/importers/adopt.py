@@ -19,6 +19,7 @@ from rtrun.results.importers.given import NOTHING_GIVEN, Given
 from rtrun.results.importers.histogram_file import ENDING, Imported, histogram_text
 from rtrun.results.importers.identity import Identity, target_facts, times
 from rtrun.results.importers.origin import NOWHERE, FileOrigin
+from rtrun.results.importers.samples_file import ImportedSamples, write_samples
 from rtrun.results.record import RunRecord, RunStatus
 from rtrun.results.series import period_of
 from rtrun.targets.inspection.platform import Platform
@@ -38,7 +39,7 @@ def adopt(
     """Import one file into `results`; returns each run directory made and what its format leaves out.
 
     `called` is the run's name, by default that of the file; `given` is what the user says of its numbers. A log keeps
-    its name and is read as a log of its suite; other files become histograms, one run a context. Raises UsageError when
+    its name and is read as a log of its suite; other files become histograms or samples, one run a context. Raises UsageError when
     the file is none that can be read or states otherwise than the user, or a run of that name exists.
     """
     if printable(path.name) != path.name:
@@ -61,10 +62,9 @@ def adopt(
             shutil.copyfile(path, partial / f"{output}{ending}.log")
             run_directory.close(partial, folder, record)
         return [(folder, ("the samples, and their order but for the listed extremes", *log.remarks))]
-    histograms = read(path, given)
     made = []
-    contexts: dict[str, list[Imported]] = {}
-    for one in histograms:
+    contexts: dict[str, list[Imported | ImportedSamples]] = {}
+    for one in read(path, given):
         contexts.setdefault(str(one.parameters.get("context", "")), []).append(one)
     for context, members in contexts.items():
         run = f"{name}-{context}" if context else name
@@ -84,7 +84,10 @@ def adopt(
         with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / f"original{path.suffix}")
             for one in members:
-                atomic.write_text(partial / f"{one.name}{ENDING}", histogram_text(one))
+                if isinstance(one, Imported):
+                    atomic.write_text(partial / f"{one.name}{ENDING}", histogram_text(one))
+                else:
+                    write_samples(partial, one)
             run_directory.close(partial, folder, record)
         made.append((folder, tuple(dict.fromkeys(text for one in members for text in one.left_out))))
     return made

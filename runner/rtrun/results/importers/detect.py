@@ -1,27 +1,34 @@
-"""Which program wrote a file, from its beginning; and the histograms in it."""
+"""Which program wrote a file, from its beginning; and the histograms or samples in it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import MIB, read_bytes
-from rtrun.results.importers import cyclictest, jitterdebugger, timerlat
+from rtrun.results.importers import cyclictest, cyclictest_samples, jitterdebugger, rteval, timerlat
 from rtrun.results.importers.given import NOTHING_GIVEN, Given
 from rtrun.results.importers.histogram_file import Imported
+from rtrun.results.importers.samples_file import ImportedSamples
 from rtrun.results.importers.unreadable import recognise
 
 MAX_BYTES = 16 * MIB
-READS = "a log of 2014 or of a suite, cyclictest -h or --json, jitterdebugger's results.json, rtla timerlat hist"
+READS = (
+    "a log of 2014 or of a suite, cyclictest -h, -v or --json, jitterdebugger's results.json, rtla timerlat hist, "
+    "rteval's summary.xml"
+)
 
 
-def read(path: Path, given: Given = NOTHING_GIVEN) -> tuple[Imported, ...]:
-    """The histograms in a file of cyclictest, jitterdebugger or rtla timerlat, one a thread.
+def read(path: Path, given: Given = NOTHING_GIVEN) -> Sequence[Imported | ImportedSamples]:
+    """The histograms in a file of another program, or the samples in one of cyclictest -v, one a thread.
 
     `given` is what the user says of it. Raises UsageError ``file[:line]: what is wrong``.
     """
     return tuple(given.complete(path, one) for one in _read(path, given))
 
 
-def _read(path: Path, given: Given) -> tuple[Imported, ...]:
+def _read(path: Path, given: Given) -> Sequence[Imported | ImportedSamples]:
+    if cyclictest_samples.has_samples(path):
+        return cyclictest_samples.read_samples(path, unit_ns=given.unit_ns)
     try:
         text = read_bytes(path, max_bytes=MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError as error:
@@ -33,6 +40,8 @@ def _read(path: Path, given: Given) -> tuple[Imported, ...]:
         return cyclictest.read_text(path, text, unit_ns=given.unit_ns)
     if not is_json and "RTLA timerlat histogram" in text:
         return timerlat.read_text(path, text)
+    if rteval.is_report(text):
+        return rteval.read_report(path, text)
     if kind := recognise(text):
         raise UsageError(f"{path}: {kind}")
     if is_json:

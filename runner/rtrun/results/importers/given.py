@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 from rtfiles.errors import UsageError
 from rtrun.plan.quantities import time_text
 from rtrun.results.importers.counts import NO_INTERVAL
 from rtrun.results.importers.histogram_file import Imported
+from rtrun.results.importers.samples_file import ImportedSamples
 
+ImportedT = TypeVar("ImportedT", Imported, ImportedSamples)
 UNITS_NS = {"ns": 1, "us": 1000}
 
 
@@ -26,8 +29,8 @@ class Given:
             stated, given = time_text(round(period_ns)), time_text(1000 * self.interval_us)
             raise UsageError(f"{path}: its interval is {stated}, but --interval says {given}")
 
-    def complete(self, path: Path, one: Imported) -> Imported:
-        """A histogram with the interval where its file does not state that. Raises UsageError as `check` does."""
+    def complete(self, path: Path, one: ImportedT) -> ImportedT:
+        """What was imported, with the interval where its file does not state that. Raises UsageError as `check` does."""
         self.check(path, unit_ns=one.unit_ns, period_ns=one.period_ns)
         if self.interval_us is None or one.period_ns is not None:
             return one

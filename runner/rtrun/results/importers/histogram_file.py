@@ -32,6 +32,7 @@ class _File(Config):
     mean_ns: MeanNs | None = None
     period_ns: PeriodNs | None
     left_out: list[str]
+    undecidable: str = ""
 
     @model_validator(mode="after")
     def _belong_together(self) -> "_File":
@@ -49,7 +50,8 @@ class Imported:
     """One thread's histogram; ``name`` tells the threads of one file apart.
 
     ``left_out`` says, a sentence each, what the format does not tell; ``parameters`` are those it does, and none that
-    it does not. ``unit_ns`` is the unit of the file's numbers; None: its format names it.
+    it does not. ``unit_ns`` is the unit of the file's numbers; None: its format names it. ``undecidable``
+    says why no answer can rest on the values, "" where one can.
     """
 
     source: str
@@ -60,6 +62,7 @@ class Imported:
     parameters: dict[str, str | int | None]
     unit_ns: int | None = None
     origin: FileOrigin = NOWHERE
+    undecidable: str = ""
 
 
 def histogram_text(imported: Imported) -> str:
@@ -77,6 +80,7 @@ def histogram_text(imported: Imported) -> str:
         "mean_ns": bins.mean_ns,
         "period_ns": imported.period_ns,
         "left_out": list(imported.left_out),
+        **({"undecidable": imported.undecidable} if imported.undecidable else {}),
     }
     parse(data, _File, imported.name)
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
@@ -100,4 +104,5 @@ def read_histogram(path: Path) -> Imported:
         period_ns=file.period_ns,
         left_out=tuple(file.left_out),
         parameters={},
+        undecidable=file.undecidable,
     )

@@ -96,17 +96,11 @@ KINDS = (
     Unreadable(
         program="performance_test",
         sign=_sign(r'^---EXPERIMENT-START---|latency_mean \(ms\)|"latency_mean"'),
-        lacks="writes only min, max, mean and variance of each second, in CSV and JSON alike",
+        lacks="writes only min, max, mean and variance of the messages of each second, in CSV and JSON alike",
         advice=(
             "For every message measure with the suite communication_tests, or observe the nodes of performance_test"
             " while they run: rtrun observe"
         ),
-    ),
-    Unreadable(
-        program="rteval",
-        sign=_sign(r"^[ \t]*<rteval[ >]"),
-        lacks="writes XML that is not read here",
-        advice=f"rteval measures with cyclictest. {_HISTOGRAM}",
     ),
 )
 

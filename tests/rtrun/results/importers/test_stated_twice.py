@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from rteval_report import report
 from rtfiles.errors import UsageError
 from rtrun.results.importers.counts import StatedSummary, Statistics, check_statistics
 from rtrun.results.importers.cyclictest import read_text
@@ -71,13 +72,16 @@ VALID = {
     "cyclictest.json": json.dumps(CYCLICTEST, indent=1),
     "jitterdebugger.json": json.dumps(JITTERDEBUGGER, indent=1),
     "timerlat.txt": TIMERLAT,
+    "rteval.xml": report(),
 }
+LINES_OR_KEYS = [name for name in VALID if not name.endswith(".xml")]  # of elements see test_rteval.py
 # Lines whose numbers the file states nowhere else.
 ONCE = {
     "cyclictest-2.10.txt": "[0-9]{6} |# Max Latencies",  # it prints no totals; its largest values lie above the bins
     "cyclictest.json": ' "cmdline:"|   "max": 559|   "cpu"',
     "jitterdebugger.json": '   "max": 2345',
     "timerlat.txt": "Index",  # the number of the CPU
+    "rteval.xml": " +<(core|cyclictest)",  # the number of the CPU, the command line
 }
 
 
@@ -130,7 +134,7 @@ def test_a_number_that_is_changed_alone_is_refused_or_does_not_matter(tmp_path, 
     assert not accepted and refused > 20
 
 
-@pytest.mark.parametrize("name", VALID)
+@pytest.mark.parametrize("name", LINES_OR_KEYS)
 def test_a_line_or_key_that_stands_twice_is_refused(tmp_path, name):
     lines = VALID[name].splitlines(keepends=True)
     for k, line in enumerate(lines):
@@ -152,7 +156,7 @@ def test_a_line_or_key_that_stands_twice_is_refused(tmp_path, name):
             read(written(tmp_path / name, "".join(twice)))
 
 
-@pytest.mark.parametrize("name", VALID)
+@pytest.mark.parametrize("name", LINES_OR_KEYS)
 def test_a_line_or_key_that_is_missing_is_refused_by_its_name(tmp_path, name):
     text = VALID[name]
     if name.endswith(".json"):
@@ -267,6 +271,10 @@ def test_nanoseconds_of_jitterdebugger_end_at_a_millisecond(tmp_path):
         ("cyclictest -qmh400 -Sp99 -i200", (400_000, 1000, 200_000.0)),
         ("cyclictest --histofall=300 -h 400 --interval 500", (400_000, 1000, 500_000.0)),
         ("cyclictest -mNqh 400", (400, 1, 1e6)),
+        ("cyclictest -qxh400 -xi200", (400_000, 1000, 200_000.0)),
+        ("cyclictest -h400us -p80 -i500us", (400_000, 1000, 500_000.0)),
+        ("cyclictest --histogr 400 --int=300 --nse", (400, 1, 300_000.0)),
+        ("cyclictest -h 500 --histof=400 -p9", (400_000, 1000, 1e6)),
         ("cyclictest --histogram=2000000", None),
         ("cyclictest --histogram=232", None),
     ],

@@ -24,7 +24,6 @@ PROGRAMS = {
     "oslat": "oslat",
     "hwlatdetect": "hwlatdetect",
     "performance_test": "performance_test",
-    "rteval": "rteval",
 }
 
 
