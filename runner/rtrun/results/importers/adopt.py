@@ -39,8 +39,8 @@ def adopt(
     """Import one file into `results`; returns each run directory made and what its format leaves out.
 
     `called` is the run's name, by default that of the file; `given` is what the user says of its numbers. A log keeps
-    its name and is read as a log of its suite; other files become histograms or samples, one run a context. Raises UsageError when
-    the file is none that can be read or states otherwise than the user, or a run of that name exists.
+    its name and is read as a log of its suite; other files become histograms or samples, one run a context. Raises
+    UsageError when the file is none that can be read or states otherwise than the user, or a run of that name exists.
     """
     if printable(path.name) != path.name:
         raise UsageError(f"{printable(str(path))}: a name of plain text is needed, rename the file")

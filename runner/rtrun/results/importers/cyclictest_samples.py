@@ -54,7 +54,10 @@ def has_samples(path: Path) -> bool:
 
 
 def read_samples(path: Path, *, unit_ns: int | None = None) -> tuple[ImportedSamples, ...]:
-    """The values of each thread; `unit_ns` is the unit where the caller knows it. Raises UsageError ``file:line: what is wrong``."""
+    """The values of each thread; `unit_ns` is the unit where the caller knows it.
+
+    Raises UsageError ``file:line: what is wrong``.
+    """
     threads: dict[int, _Thread] = {}
     announced: set[int] = set()
     histogram: str | None = None

@@ -10,7 +10,7 @@ from rtrun.results.importers.counts import NO_INTERVAL
 from rtrun.results.importers.histogram_file import Imported
 from rtrun.results.importers.samples_file import ImportedSamples
 
-ImportedT = TypeVar("ImportedT", Imported, ImportedSamples)
+ImportedT = TypeVar("ImportedT", bound=Imported | ImportedSamples)
 UNITS_NS = {"ns": 1, "us": 1000}
 
 
@@ -30,7 +30,7 @@ class Given:
             raise UsageError(f"{path}: its interval is {stated}, but --interval says {given}")
 
     def complete(self, path: Path, one: ImportedT) -> ImportedT:
-        """What was imported, with the interval where its file does not state that. Raises UsageError as `check` does."""
+        """It, with the interval where its file does not state that. Raises UsageError as `check` does."""
         self.check(path, unit_ns=one.unit_ns, period_ns=one.period_ns)
         if self.interval_us is None or one.period_ns is not None:
             return one

@@ -17,7 +17,7 @@ from rtfiles.errors import UsageError
 from rtfiles.untrusted import XmlElement, parse_xml, real_number, whole_number
 from rtrun.plan.limits import COUNT_MAX, CPUS_MAX
 from rtrun.results.importers.command_line import Command, read_command
-from rtrun.results.importers.counts import NO_ORDER, StatedSummary, Statistics, check_bins, histogram
+from rtrun.results.importers.counts import NO_ORDER, StatedSummary, Statistics, check_bins, check_statistics, histogram
 from rtrun.results.importers.histogram_file import Imported
 
 _BEGINNING = 65_536
@@ -68,7 +68,7 @@ class _Report:
     path: Path
     version: str = ""
     command: str | None = None
-    threshold_us: str = ""
+    threshold_us: int | None = None
     current: _ReportPart = field(default_factory=_ReportPart)
     parts: dict[str, _ReportPart] = field(default_factory=dict)  # by the number of the CPU, and "system"
     bins: int = 0
@@ -102,7 +102,7 @@ class _Report:
                 _keep_once(place, self.parts, name, self.current)
                 self.current = _ReportPart()
             case ("abort_report", "breaktrace"):
-                self.threshold_us = element.attributes.get("latency_threshold", "")
+                self.threshold_us = _whole(f"{place}: latency_threshold", element.attributes.get("latency_threshold"))
             case ():
                 if self.command is not None:
                     raise UsageError(f"{place}: a second measurement of cyclictest")
@@ -145,16 +145,16 @@ def read_report(path: Path, text: str) -> tuple[Imported, ...]:
     if version is None or (int(version[1]), int(version[2])) < _KNOWS_OVERFLOW:
         undecidable = (
             f"rteval before {'.'.join(map(str, _KNOWS_OVERFLOW))} leaves out values beyond the last bucket and does not"
-            f" say so; this is {report.version[:20] or 'of an unknown version'}"
+            f" say so; this is {version[0] if version else 'of an unknown version'}"
         )
     left_out = [NO_ORDER]
-    if report.threshold_us:
-        left_out.append(f"what followed the value above {report.threshold_us[:20]} us at which rteval ended it")
+    if report.threshold_us is not None:
+        left_out.append(f"what followed the value above {report.threshold_us} us at which rteval ended it")
     imported = tuple(
         _cpu(path, name, part, command, len(report.parts), left_out, undecidable)
         for name, part in sorted(report.parts.items(), key=lambda item: int(item[0]))
     )
-    _checked(path, system, command)
+    check_statistics(system.bins, _checked(path, system, command), overflow=0, limit=0)
     _check_sum(path, system, report.parts)
     return imported
 
@@ -196,23 +196,23 @@ def _checked(path: Path, part: _ReportPart, command: Command) -> Statistics:
             f"{part.place(path, 'maximum')}: a value of {beyond} us, but the histogram ends below {command.limit}: how"
             f" many values are beyond is not stated; {_MORE_BUCKETS}"
         )
-    mean = part.number(path, "mean")
     if n > 1:  # of one value rteval computes nothing
-        for name, expected in _computed(part.bins, mean).items():
+        for name, expected in _computed(part.bins).items():
             if abs((stated := part.number(path, name)) - expected) > _ALIKE * max(1.0, expected):
                 raise UsageError(f"{part.place(path, name)}: {stated:g}, but the buckets give {expected:g}")
     return Statistics(
         least=StatedSummary(place=part.place(path, "minimum"), value=least),
-        mean=StatedSummary(place=part.place(path, "mean"), value=mean if n > 1 else None),
+        mean=StatedSummary(place=part.place(path, "mean"), value=part.number(path, "mean") if n > 1 else None),
         most=StatedSummary(place=part.place(path, "maximum"), value=most),
         decimals=_DECIMALS,
     )
 
 
-def _computed(bins: Mapping[int, int], mean: float) -> dict[str, float]:
+def _computed(bins: Mapping[int, int]) -> dict[str, float]:
     """What rteval computes of buckets, besides the mean and the median, by the name that it gives it."""
     values, counts = (np.array(each, dtype=np.float64) for each in (list(bins), list(bins.values())))
     n = float(counts.sum())
+    mean = float((values * counts).sum()) / n
     most_often = max(bins.values())
     return {
         "mode": min(value for value, count in bins.items() if count == most_often),

@@ -146,7 +146,7 @@ def test_values_and_their_histogram_agree(tmp_path):
     # One value of 4 us was measured after the last line.
     first, second = read(written(tmp_path, GOOD + HISTOGRAM))
     assert (first.values_ns.size, second.values_ns.size) == (4, 2)
-    for thread, values in ((0, [5, 6, 0, 9]), (0, [5, 6, 6, 8]), (1, [3, 3])):
+    for thread, values in ((0, [5, 6, 0, 9]), (0, [5, 6, 6, 8]), (0, [5, 8, 0, 8]), (1, [3, 3])):
         threads = [[5, 6, 0, 8], [3, 4]]
         threads[thread] = values
         with pytest.raises(UsageError, match=rf"v.txt: cyclictest-t{thread}: more values of \d us than the histogram"):

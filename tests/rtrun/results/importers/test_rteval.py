@@ -83,6 +83,18 @@ def test_what_is_missing_or_stands_twice_is_refused(tmp_path, name):
             read(written(tmp_path, text.replace(name, "", 1)))
 
 
+@pytest.mark.parametrize(
+    "name", ["mode", "range", "mean_absolute_deviation", "standard_deviation", "mean", "minimum", "maximum"]
+)
+def test_what_was_computed_of_the_buckets_agrees_with_them(tmp_path, name):
+    for place in range(3):
+        at = [k for k, line in enumerate(LINES) if f"<{name} " in line][place]
+        number = LINES[at].partition(">")[2].partition("<")[0]
+        lines = [*LINES[:at], LINES[at].replace(f">{number}", f">{float(number) + 1:g}"), *LINES[at + 1 :]]
+        with pytest.raises(UsageError, match=rf"xml:{at + 1}: {name}: "):
+            read(written(tmp_path, "\n".join(lines)))
+
+
 TIMERLAT = ['<timerlat command_line="rtla timerlat hist -p100 -P f:95 -u -c0-3 -E3500 --no-summary"/>']
 
 
@@ -96,6 +108,10 @@ TIMERLAT = ['<timerlat command_line="rtla timerlat hist -p100 -P f:95 -u -c0-3 -
         (report().replace('<core id="3"', '<core id="/../x"'), r":\d+: id: expected a whole number"),
         (report().replace('<core id="3"', '<core id="8192"'), r":\d+: core: id 8192, expected less than 8192"),
         (report({"0": CPUS["0"]}).replace('index="11" value="1"', 'index="11" value="2"', 1), "494, but .* hold 495"),
+        (
+            report(stopped_above_us=10).replace('threshold="10"', 'threshold="&#8238;"'),
+            r":\d+: latency_threshold: expected",
+        ),
         (page(TIMERLAT), "no values of cyclictest. rteval's values of timerlat are not read: it adds up"),
         (page([]), "no values of cyclictest"),
         (report().replace("</Measurements>", "<cyclictest/></Measurements>"), r":\d+: a second measurement"),
