@@ -14,7 +14,7 @@ from rtfiles.output import counted, print_line, printable
 from rtfiles.quantities import time
 from rtrun.kinds.rate import OFF_MAX
 from rtrun.plan.observation import stream_words
-from rtrun.plan.suites import NOT_TELLING, Value, options, output_name, suite
+from rtrun.plan.suites import NOT_TELLING, Value, find_suite, options, output_name
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header, Result
 from rtrun.targets.inspection.platform import Platform, weakest
 
@@ -109,8 +109,9 @@ def _parameters(header: Header) -> str:
 
 
 def _is_telling(suite_name: str, key: str, value: Value) -> bool:
-    option = options().get(key)
-    return option is None or value != option.default or f"{{{key}}}" in suite(suite_name).output
+    option, described = options().get(key), find_suite(suite_name)
+    # Of another program nobody knows what it does where an option is not given.
+    return option is None or described is None or value != option.default or f"{{{key}}}" in described.output
 
 
 def banner_of(platform: Platform, *, preempt_rt: Iterable[bool] = ()) -> str:

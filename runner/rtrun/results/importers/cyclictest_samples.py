@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.errors import UsageError
+from rtfiles.quantities import time
 from rtfiles.untrusted import MIB, lines_in, read_beginning
 from rtrun.analysis.histogram import Histogram, Int64s
 from rtrun.plan.limits import CPUS_MAX, TIME_MAX_NS
-from rtrun.plan.quantities import time_text
 from rtrun.results.importers.counts import NO_INTERVAL
 from rtrun.results.importers.cyclictest import NO_OPTIONS, NO_UNIT, read_text
 from rtrun.results.importers.samples_file import ImportedSamples
@@ -159,7 +159,7 @@ def _check_histograms(path: Path, samples: tuple[ImportedSamples, ...], text: st
         raise UsageError(f"{path}: values of {len(samples)} threads, but a histogram of {len(histograms)}")
     for one, other in zip(samples, histograms, strict=True):
         if (wrong := _beyond(one.values_ns, other.histogram)) is not None:
-            raise UsageError(f"{path}: {one.name}: more values of {time_text(wrong)} than the histogram holds")
+            raise UsageError(f"{path}: {one.name}: more values of {time(wrong)} than the histogram holds")
 
 
 def _beyond(values_ns: Int64s, histogram: Histogram) -> int | None:

@@ -58,7 +58,7 @@ def test_every_value_of_the_program_is_read_in_its_order(tmp_path):
     lines = [[int(word) for word in line.split(":")] for line in text.splitlines() if line.count(":") == 2]
     for number, one in enumerate(imported):
         assert one.values_ns.tolist() == [1000 * value for thread, _, value in lines if thread == number]
-        assert one.period_ns is None and "-N" in one.left_out[0] and "last line" in one.left_out[1]
+        assert one.period_ns is None and "-N" in one.left_out[1] and "last line" in one.left_out[-1]
     ((folder, _),) = adopt(path, tmp_path / "out", platform=Platform.HARDWARE)
     back = read_imported_samples(folder / f"cyclictest-t0{samples_file.ENDING}")
     assert back.values_ns.tolist() == imported[0].values_ns.tolist()
