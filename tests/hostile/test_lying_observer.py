@@ -6,9 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from measured import measured
+
 LIAR = Path(__file__).with_name("lying_observer.py")
+HOUR = Path(__file__).with_name("hour.py")
 MEMORY_MAX_KIB = 300 * 1024
 # The runner's own memory since it began to run: that of a child holds what the process had that started it.
 OBSERVE = """
@@ -37,7 +41,7 @@ with Link(target, print) as link:
     try:
         seen = observation.observe(link, PurePosixPath(sys.argv[1]), watched, ObservationPlan(for_s=3.0), trace="",
                                    onlooker=observation.Onlooker(), now=datetime.now)
-        print("streams", len(streams(seen.flows)), seen.remarks)
+        print("streams", sum(1 for _ in streams(seen.flows)), seen.remarks)
     except Exception as error:
         print("error", type(error).__name__, error)
 print(next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM")))
@@ -68,3 +72,14 @@ def test_a_target_that_lies(lie, tmp_path):
     match = re.search(r"^VmHWM:\s+(\d+) kB$", ended.stdout, re.M)
     assert match and int(match[1]) < MEMORY_MAX_KIB, ended.stdout
     assert re.search(ENDS.get(lie, "^(error TargetError|streams) "), ended.stdout, re.M), ended.stdout
+
+
+def test_an_hour_that_is_honest(tmp_path):
+    """Its memory does not grow with its messages: so many took 260 MiB, and an hour of them 8 GiB."""
+    ended = measured([sys.executable, HOUR, 1_000_000, tmp_path], timeout_s=120, check=False)
+    assert ended.status == 0, ended.stderr
+    assert ended.peak_mib < 160
+    samples = {path.parent.name: np.load(path, mmap_mode="r") for path in (tmp_path / "results").rglob("*.npy")}
+    assert {len(each) for each in samples.values()} == {999_999} and len(samples) == 5
+    (messages,) = (each for name, each in samples.items() if "messages" in name)
+    assert np.array_equal(messages[:, 2], np.arange(999_999))

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 
 from rtfiles.output import counted
 from rtrun.causes.outliers import AFTER_NS
@@ -11,6 +11,7 @@ from rtrun.execution.late_values import LateValueRecord
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures, Snapshot, gaps_in_words
 from rtrun.flows.recorder import FlowRecorder
+from rtrun.flows.rows import RowStore
 from rtrun.plan.observation import ObservationPlan
 from rtrun.probes import session
 from rtrun.probes.hits import ObservedProgram
@@ -18,6 +19,7 @@ from rtrun.probes.libraries.description import events
 from rtrun.probes.placement import Placement, place, refusals
 from rtrun.probes.programs import FoundProgram, Roster, find_programs, left_out_in_words
 from rtrun.probes.session import Began, Finished
+from rtrun.results.columns import NoRoom
 from rtrun.results.coverage import Coverage, coverage
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import kernel_trace
@@ -123,8 +125,10 @@ def observe(
     trace: str,
     onlooker: Onlooker,
     now: Callable[[], datetime],
+    folder: Path | None = None,
 ) -> ObservationResult:
     """Observe for the time of the plan; `trace` is the limit above which kernel traces are kept, empty without.
+    What is measured is kept in a file without a name in `folder`, which None stands for that of temporary files.
 
     What was started for it is observed no longer than it lives. Raises TargetError where there is nothing to observe,
     or the target cannot be observed; TargetRebooted and KeyboardInterrupt before something was seen. What was seen
@@ -162,6 +166,7 @@ def observe(
                         paths=plan.followed,
                         recorder=onlooker.recorder,
                         on_turn=late.turn if late else None,
+                        store=RowStore(folder),
                     )
                     flows.observe(roster.alive)
                     figures = LiveFigures(flows, plan.deadlines, late.look if late else None)
@@ -183,6 +188,8 @@ def observe(
                 gone_ns = 0 if roster.alive else gone_ns or each.until_ns
                 if plan.system.start and gone_ns and each.until_ns - gone_ns > GONE_NS:
                     break
+    except NoRoom as error:
+        broken = str(error)
     except KeyboardInterrupt as error:
         if flows is None:
             raise

@@ -326,7 +326,9 @@ def _observe(work: Work, life: RunLife, not_started: str | None, now: Clock) -> 
             processes.start(link, scripts, work.remote, work.programs.sampler)
         trace = "" if work.run.trace == UNTRACED else work.run.trace
         watched = observation.watch(link, scripts, plan, trace=trace)
-        observed = observation.observe(link, scripts, watched, plan, trace=trace, onlooker=work.onlooker, now=now)
+        observed = observation.observe(
+            link, scripts, watched, plan, trace=trace, onlooker=work.onlooker, now=now, folder=work.folder.parent
+        )
         aftermath.observed, aftermath.cut_off = observed, observed.cut_off
         work.onlooker.on_end(observed)
         with aftermath.keeping():

@@ -2,7 +2,7 @@
 
 import contextlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -16,7 +16,7 @@ from rtfiles.quantities import time
 from rtrun.analysis.histogram import Int64s
 from rtrun.execution import clock_record
 from rtrun.execution.late_values import LateValue, LateValues
-from rtrun.flows.values import Stream, differences
+from rtrun.flows.values import Stream, typical_step
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.output import Uname
 from rtrun.kinds.timer import UNKNOWN_NS
@@ -25,6 +25,7 @@ from rtrun.plan.run import UNTRACED
 from rtrun.plan.suites import Value
 from rtrun.plan.trace import PARAMETER
 from rtrun.results import run_directory
+from rtrun.results.columns import pieces
 from rtrun.results.observed import ObservedOutput, Provenance, TracedValue, write_stream
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
 from rtrun.targets.inspection.facts import TargetState, fact_text
@@ -75,7 +76,7 @@ class WrittenStreams:
 def write_streams(
     folder: Path,
     facts: StreamFacts,
-    streams: Sequence[Stream],
+    streams: Iterable[Stream],
     late: Mapping[object, LateValues],
     *,
     keeps_what_fits: bool = False,
@@ -91,6 +92,10 @@ def write_streams(
     outputs: list[ObservedOutput] = []
     without_value: list[tuple[Stream, str]] = []
     for stream in streams:
+        if stream.trouble:
+            with _noting(not_kept if keeps_what_fits else None, _in_words(stream)):
+                raise InfrastructureError(stream.trouble)
+            continue
         output = _output(stream, facts.parameters, late.get(stream.source) or LateValues())
         remarks = stream.remarks or (() if output is not None else ("too few calls to be measured",))
         left_out += (f"{_in_words(stream)}: {remark}" for remark in remarks)
@@ -102,7 +107,8 @@ def write_streams(
             # It is a miss whenever it comes.
             output = replace(output, asked=output.asked + 1, missing=output.missing + 1)
             left_out.append(f"{_in_words(stream)}: {_OPEN[stream.kind].format(time(stream.open_ns))}")
-        outputs.append(output)
+        # Its values are in its run now, and all together may be more than the memory holds.
+        outputs.append(replace(output, columns={}, traced=()))
         with _noting(not_kept if keeps_what_fits else None, _in_words(stream)):
             _write_run(_beside(folder, output, facts.parameters, names), facts, output)
     unseen: list[str] = []
@@ -178,16 +184,14 @@ def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> Ob
     lost = stream.counts.get("lost", 0)
     measured = rows
     if stream.kind in (StreamKind.TIMER, StreamKind.INTERVALS):
-        segment = np.zeros(rows, np.int64)
-        segment[stream.cuts[stream.cuts < rows]] = 1
-        columns["segment"] = np.cumsum(segment)
-        measured = differences(first, stream.cuts).size
+        columns.setdefault("segment", np.broadcast_to(np.int64(0), rows))
+        measured = max(rows - 1, 0) - stream.cuts.size
     if stream.kind is StreamKind.TIMER and measured:
-        parameters["period_ns"] = stream.period_ns or int(np.median(differences(first, stream.cuts)))
-        columns.setdefault("expected_ns", np.full(rows, UNKNOWN_NS))
+        parameters["period_ns"] = stream.period_ns or typical_step(first, stream.cuts) or 0
+        columns.setdefault("expected_ns", np.broadcast_to(np.int64(UNKNOWN_NS), rows))
         columns.setdefault("real_ns", first)
     if stream.kind is StreamKind.MESSAGES:
-        columns.setdefault("callback_end_ns", np.full(rows, NOT_SEEN_NS))
+        columns.setdefault("callback_end_ns", np.broadcast_to(np.int64(NOT_SEEN_NS), rows))
     if not measured:
         return None
     passed_ns = int(first[-1] - first[0])
@@ -226,9 +230,8 @@ _TIMES = {
 def _traced(stream: Stream, kept: Sequence[LateValue]) -> Iterator[TracedValue]:
     """The late values that have a trace, by the indices that they have in the samples."""
     for one in kept:
-        rows = np.flatnonzero(stream.columns[_TIMES[stream.kind]] == one.at_ns)
-        if one.text and rows.size:
-            row = int(rows[0])
+        row = _row_at(stream.columns[_TIMES[stream.kind]], one.at_ns) if one.text else None
+        if row is not None:
             yield TracedValue(
                 index=int(stream.columns["seq"][row]) if stream.kind is StreamKind.MESSAGES else row,
                 value_ns=one.value_ns,
@@ -237,6 +240,16 @@ def _traced(stream: Stream, kept: Sequence[LateValue]) -> Iterator[TracedValue]:
                 tid=one.tid,
                 text=one.text,
             )
+
+
+def _row_at(times_ns: Int64s, at_ns: int) -> int | None:
+    begin = 0
+    for (piece,) in pieces(times_ns):
+        rows = np.flatnonzero(piece == at_ns)
+        if rows.size:
+            return begin + int(rows[0])
+        begin += piece.size
+    return None
 
 
 def _write_run(folder: Path, facts: StreamFacts, output: ObservedOutput, *, reason: str | None = None) -> None:

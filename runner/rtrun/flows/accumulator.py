@@ -7,6 +7,7 @@ from rtrun.flows.calls import CallRecord
 from rtrun.flows.living import LivingPrograms
 from rtrun.flows.paths import PathRecord
 from rtrun.flows.recorder import FlowRecorder
+from rtrun.flows.rows import RowStore
 from rtrun.flows.situation import Situation
 from rtrun.flows.threads import CallbackLog, ObservedThread
 from rtrun.flows.timers import ClockOffsets
@@ -25,8 +26,8 @@ class FlowAccumulator:
     `begin_ns` is when the probes were there.
 
     A publication that nobody took within `horizon_ns` is forgotten: what takes it later is unmatched. `paths` are
-    topics in the order of their messages. What is finished takes 48 bytes a message, 16 a call. `on_turn` is told what
-    each thread had to do, once its end is known, or that it is not.
+    topics in the order of their messages. What is finished goes to the `store`, 48 bytes a message, 16 a call.
+    `on_turn` is told what each thread had to do, once its end is known, or that it is not.
     """
 
     def __init__(
@@ -37,6 +38,7 @@ class FlowAccumulator:
         horizon_ns: int = HORIZON_NS,
         recorder: FlowRecorder | None = None,
         on_turn: Callable[[Turn], None] | None = None,
+        store: RowStore | None = None,
     ) -> None:
         self.begin_ns = begin_ns
         self.newest_ns = self.until_ns = begin_ns
@@ -44,9 +46,9 @@ class FlowAccumulator:
         self._join_from = 2 * GAPS_MAX
         self.in_gaps = 0
         """Hits within gaps, which are left out."""
-        self.situation = Situation(begin_ns)
+        self.situation = Situation(begin_ns, store or RowStore())
         self.offsets = ClockOffsets()
-        self.paths = PathRecord(paths)
+        self.paths = PathRecord(paths, self.situation.store)
         self.topics = TopicRecord(self.situation, self.paths, horizon_ns, recorder)
         self.calls = CallRecord(self.situation, recorder)
         self.turns = TurnRecord(on_turn, self.situation) if on_turn is not None else None
@@ -76,8 +78,12 @@ class FlowAccumulator:
         self.offsets.add(clock, at_ns, offset_ns)
 
     def feed(self, items: Iterable[Hit | Gap]) -> None:
-        """Read hits, and gaps between them, in any order among themselves. A hit that comes too late makes a gap."""
+        """Read hits, and gaps between them, in any order among themselves. A hit that comes too late makes a gap.
+
+        Raises NoRoom where more was measured than may be kept.
+        """
         handlers, thread_of, situation, turns = self._handlers, self._programs.thread, self.situation, self.turns
+        topics = self.topics
         for item in sorted(items, key=itemgetter(0)):
             if isinstance(item, Gap):
                 self._cut(item)
@@ -98,7 +104,11 @@ class FlowAccumulator:
                 thread.does_else()
             if turns is not None:
                 turns.see(item, thread)
-        self.topics.expire(self.newest_ns)
+            if topics.has_too_many_takers:
+                topics.expire(at_ns)
+                situation.store.ease()
+        topics.expire(self.newest_ns)
+        situation.store.ease()
 
     def finish(self, until_ns: int = 0) -> None:
         """No more hits come, there were none until then: what waited for later ones is decided."""

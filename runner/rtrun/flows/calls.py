@@ -101,7 +101,7 @@ class CallRecord:
         log = self.timers.get((*alike, number))
         if log is None:
             self._situation.add_stream()
-            log = self.timers[*alike, number] = TimerLog(*alike, number)
+            log = self.timers[*alike, number] = TimerLog(*alike, number, self._situation.store)
         return log
 
     # Callbacks.
@@ -168,8 +168,7 @@ class CallRecord:
         callback.calls += 1
         log = callback.logs.get(thread)
         if log is not None:
-            log.begins.append(begin_ns)
-            log.ends.append(end.at_ns)
+            log.rows.add((begin_ns, end.at_ns))
         else:
             callback.early.append((thread, begin_ns, end.at_ns))
             if self._situation.is_full:
@@ -194,10 +193,9 @@ class CallRecord:
                 log = self.callbacks.get((*alike, number))
                 if log is None:
                     self._situation.add_stream()
-                    log = self.callbacks[*alike, number] = CallbackLog(*alike, number)
+                    log = self.callbacks[*alike, number] = CallbackLog(*alike, number, self._situation.store)
                 callback.logs[thread] = log
-            log.begins.append(begin_ns)
-            log.ends.append(end_ns)
+            log.rows.add((begin_ns, end_ns))
         callback.early.clear()
 
 

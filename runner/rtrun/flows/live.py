@@ -9,15 +9,16 @@ from rtfiles.output import counted, printable
 from rtrun.analysis.histogram import Int64s
 from rtrun.flows import streams
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.flows.messages import MessagePair
+from rtrun.flows.messages import PUBLISHED, RECEIVED, MessagePair
 from rtrun.flows.situation import HITS_CLOCK
 from rtrun.flows.timers import ClockOffsets, TimerLog
-from rtrun.flows.values import int64s
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.plan.observation import StreamDeadline, StreamKind
 from rtrun.probes.hits import Gap, covered_ns
 
 _BINS_OF_OCTAVE = 64
+# Calls of a timer whose lateness is not known before its clock is read.
+_WAITING_MAX = 200_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -188,23 +189,23 @@ class LiveFigures:
         for timer in observed.calls.timers.values():
             yield self._timer(timer, observed.offsets)
         for (number, publisher), path in observed.paths.logs.items():
-            times = int64s(path.ends, self._from(path))
-            values = times - int64s(path.begins, self._from(path))
+            begins, times = path.rows.read(self._from(path)).T
+            values = times - begins
             name = ",".join(observed.paths.paths[number])
-            rows = len(path.ends)
+            rows = len(path.rows)
             yield _Current(path, StreamKind.PATH, name, publisher.label, rows, values, times, rows)
         for callback in observed.calls.callbacks.values():
             identity = streams.callback_identity(callback)
-            times = int64s(callback.ends, self._from(callback))
-            values = times - int64s(callback.begins, self._from(callback))
-            rows = len(callback.ends)
+            begins, times = callback.rows.read(self._from(callback)).T
+            values = times - begins
+            rows = len(callback.rows)
             of = f"{callback.label}, thread {callback.thread}"
             yield _Current(callback, StreamKind.CALLBACK, str(identity["callback"]), of, rows, values, times, rows)
         for (role, topic, label), end in observed.topics.ends.items():
             begin = self._from(end)
-            times = int64s(end.times, max(begin - 1, 0))
+            times = end.times.read(max(begin - 1, 0))[:, 0]
             steps = np.diff(times)
-            cuts = int64s(end.cuts)
+            cuts = end.cuts.between(begin, len(end.times))
             # A step to row r, which is the first one behind a cut, is none.
             rows_of = np.arange(max(begin, 1), len(end.times))
             is_step = ~np.isin(rows_of, cuts[cuts > 0])
@@ -214,17 +215,19 @@ class LiveFigures:
 
     def _messages(self, pair: MessagePair) -> _Current:
         begin = self._from(pair)
-        times = int64s(pair.receptions, begin)
-        values = times - int64s(pair.publications, begin)
+        new = pair.rows.read(begin)
+        times = new[:, RECEIVED]
+        values = times - new[:, PUBLISHED]
         of = f"{pair.publisher.label} to {pair.subscriber.label}"
-        rows = len(pair.indices)
+        rows = len(pair.rows)
         return _Current(
             pair, StreamKind.MESSAGES, pair.publisher.topic, of, rows, values, times, rows, pair.lost_so_far
         )
 
     def _timer(self, log: TimerLog, offsets: ClockOffsets) -> _Current:
-        begin, rows = self._from(log), len(log.times)
-        at, expected = int64s(log.times, begin), int64s(log.expected, begin)
+        rows = len(log.rows)
+        begin = max(self._from(log), rows - _WAITING_MAX)
+        at, expected = log.rows.read(begin).T
         values = times = np.empty(0, np.int64)
         settled = rows
         if log.clock is not None and log.period_ns is not None:

@@ -1,15 +1,10 @@
 """Messages of every pair of publisher and subscriber: what was published, received and lost, in numbers that add up."""
 
-from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-import numpy as np
-
-from rtrun.analysis.histogram import Int64s
 from rtrun.flows.programs import LivingProcess, LivingThing
+from rtrun.flows.rows import RowStore
 from rtrun.flows.situation import Situation
-from rtrun.flows.values import int64s
 from rtrun.kinds.messages import NOT_SEEN_NS
 
 Payload = tuple[int, int, int]
@@ -28,11 +23,11 @@ class End:
         "unmatched",
     )  # fmt: skip
 
-    def __init__(self, topic: str, label: str) -> None:
+    def __init__(self, topic: str, label: str, store: RowStore) -> None:
         self.topic = topic
         self.label = label
-        self.times: array[int] = array("q")
-        self.cuts: array[int] = array("q")
+        self.times = store.rows()
+        self.cuts = store.rows()
         self.latest: tuple[int, Endpoint] | None = None
         self.received = self.duplicates = self.ambiguous = self.historic = self.unmatched = self.forgotten = 0
 
@@ -41,16 +36,16 @@ class End:
         index = len(self.times)
         latest = self.latest
         if latest is None or latest[1] is not endpoint or latest[0] != epoch:
-            self.cuts.append(index)
+            self.cuts.add((index,))
             self.latest = (epoch, endpoint)
-        self.times.append(at_ns)
+        self.times.add((at_ns,))
         return index
 
 
 class Endpoint(LivingThing):
     """A publisher or subscription of a living process."""
 
-    __slots__ = ("begin_ns", "end", "links", "topic")
+    __slots__ = ("begin_ns", "end", "topic")
 
     def __init__(self, process: LivingProcess, topic: str, begin_ns: int | None) -> None:
         super().__init__(process)
@@ -58,7 +53,6 @@ class Endpoint(LivingThing):
         self.begin_ns = begin_ns
         """When it was made, where that was seen."""
         self.end: End
-        self.links: dict[Endpoint, LinkedTime] = {}
 
 
 class Publication:
@@ -95,7 +89,13 @@ class Reception:
         """Its callback has ended; of several the last one counts."""
         self.end_ns = at_ns
         if self.pair is not None:
-            self.pair.callback_ends[self.row] = at_ns
+            self.pair.rows.put(self.row, CALLBACK_END, at_ns)
+
+
+# Of all publications that are remembered. One reception may be of any of thousands that are alike.
+TAKERS_MAX = 400_000
+# The columns of the rows of a pair.
+PUBLISHED, RECEIVED, CALLBACK_END, INDEX = range(4)
 
 
 class LinkedTime:
@@ -104,56 +104,48 @@ class LinkedTime:
     `first` and `last` are the lowest and highest index that was received, `until_ns` when the latest one was.
     """
 
-    __slots__ = ("first", "last", "pair", "until_ns")
+    __slots__ = ("epoch", "first", "last", "publisher", "subscriber", "until_ns")
 
-    def __init__(self, pair: "MessagePair", index: int) -> None:
-        self.pair = pair
+    def __init__(self, publisher: Endpoint, subscriber: Endpoint, epoch: int, index: int) -> None:
+        self.publisher = publisher
+        self.subscriber = subscriber
+        self.epoch = epoch
         self.first = self.last = index
         self.until_ns = 0
 
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PairCounts:
-    """What became of the messages of a publisher at a subscriber.
-
-    published = received + lost + ambiguous + undecided. Lost are those between the first and the last received one that
-    were never received, and were overtaken longer ago than any took to come. Undecided are those before the first and
-    after the last, and so before and after gaps and restarts: they may be on their way, or nobody was there. Each that
-    was ambiguous is here by its publication, not by its reception.
-    """
-
-    published: int
-    received: int
-    lost: int
-    ambiguous: int
-    undecided: int
-    duplicate: int
-    out_of_order: int
+    def is_of(self, publisher: Endpoint, subscriber: Endpoint, epoch: int) -> bool:
+        """Whether a message of these belongs to it."""
+        return self.publisher is publisher and self.subscriber is subscriber and self.epoch == epoch
 
 
 class MessagePair:
-    """The messages of a publisher that a subscriber took, over all restarts of both."""
+    """The messages of a publisher that a subscriber took, over all restarts of both.
 
-    __slots__ = (
-        "ambiguous", "callback_ends", "duplicates", "indices", "links", "publications", "publisher", "receptions",
-        "subscriber",
-    )  # fmt: skip
+    `rows` are those that were received, by the columns above; `links` are first, last and `until_ns` of each time
+    before that of `link`.
+    """
 
-    def __init__(self, publisher: End, subscriber: End) -> None:
+    __slots__ = ("_linked", "ambiguous", "duplicates", "link", "links", "publisher", "rows", "subscriber")
+
+    def __init__(self, publisher: End, subscriber: End, store: RowStore) -> None:
         self.publisher = publisher
         self.subscriber = subscriber
-        self.links: list[LinkedTime] = []
-        self.publications: array[int] = array("q")
-        self.receptions: array[int] = array("q")
-        self.callback_ends: array[int] = array("q")
-        self.indices: array[int] = array("q")
-        self.ambiguous: array[int] = array("q")
+        self.link: LinkedTime | None = None
+        self.links = store.rows(3)
+        self.rows = store.rows(4)
+        self.ambiguous = store.rows()
         """Indices of publications that may have been received, each once."""
         self.duplicates = 0
+        self._linked = 0
 
-    def add(self, link: LinkedTime, reception: Reception, publication: Publication) -> None:
+    def add(self, reception: Reception, publication: Publication, epoch: int) -> None:
         """A message was received."""
-        index = publication.index
+        index, link = publication.index, self.link
+        if link is None or not link.is_of(publication.endpoint, reception.endpoint, epoch):
+            if link is not None:
+                self.links.add((link.first, link.last, link.until_ns))
+                self._linked += link.last - link.first + 1
+            link = self.link = LinkedTime(publication.endpoint, reception.endpoint, epoch, index)
         if index < link.first:
             link.first = index
         elif index > link.last:
@@ -161,83 +153,19 @@ class MessagePair:
         if reception.at_ns > link.until_ns:
             link.until_ns = reception.at_ns
         reception.pair = self
-        reception.row = len(self.indices)
-        self.indices.append(index)
-        self.publications.append(publication.at_ns)
-        self.receptions.append(reception.at_ns)
-        self.callback_ends.append(reception.end_ns)
+        reception.row = len(self.rows)
+        self.rows.add((publication.at_ns, reception.at_ns, reception.end_ns, index))
 
-    def _spans(self) -> tuple[Int64s, Int64s]:
-        """First and last index of the times in which every message is received, lost or ambiguous; disjoint."""
-        received, sent_ns = np.sort(int64s(self.indices)), int64s(self.publisher.times)
-        longest_ns = int((int64s(self.receptions) - int64s(self.publications)).max(initial=0))
-        found: list[tuple[int, int]] = []
-        for link in self.links:
-            # One that was overtaken may still come for as long as any has taken.
-            fresh = int(np.searchsorted(sent_ns, link.until_ns - longest_ns, side="right"))
-            if link.first < fresh:
-                found.append((link.first, min(link.last, fresh - 1)))
-            begin, end = np.searchsorted(received, [max(fresh, link.first), link.last + 1])
-            found += [(index, index) for index in received[begin:end].tolist()]
-        spans: list[list[int]] = []
-        for first, last in sorted(found):
-            if spans and first <= spans[-1][1] + 1:
-                spans[-1][1] = max(last, spans[-1][1])
-            else:
-                spans.append([first, last])
-        firsts, lasts = np.array(spans, np.int64).reshape(-1, 2).T
-        return firsts, lasts
-
-    def _order(self) -> Int64s:
-        """Rows by the time of reception: what was decided later stands at its place."""
-        return np.argsort(int64s(self.receptions), kind="stable")
+    @property
+    def longest_ns(self) -> int:
+        """How long a message took at most; 0 where none came."""
+        return max((int((piece[:, RECEIVED] - piece[:, PUBLISHED]).max()) for piece in self.rows.pieces()), default=0)
 
     @property
     def lost_so_far(self) -> int:
         """About how many are lost, found quickly."""
-        decided = sum(link.last - link.first + 1 for link in self.links)
-        return max(0, decided - len(self.indices) - len(self.ambiguous))
-
-    def counts(self) -> PairCounts:
-        firsts, lasts = self._spans()
-        indices = int64s(self.indices)[self._order()]
-        unclear = np.sort(int64s(self.ambiguous))
-        inside = unclear.size - self._outside(unclear, firsts, lasts).size
-        decided = int((lasts - firsts + 1).sum())
-        published = len(self.publisher.times)
-        return PairCounts(
-            published=published,
-            received=indices.size,
-            lost=decided - indices.size - inside,
-            ambiguous=len(self.ambiguous),
-            undecided=published - decided - (len(self.ambiguous) - inside),
-            duplicate=self.duplicates,
-            out_of_order=int(np.count_nonzero(np.diff(indices) < 0)),
-        )
-
-    def columns(self) -> dict[str, Int64s]:
-        """The columns of its stream; int64 of shape (received,)."""
-        order = self._order()
-        indices, ends = int64s(self.indices)[order], int64s(self.callback_ends)[order]
-        firsts, lasts = self._spans()
-        place = np.searchsorted(firsts, indices, side="right") - 1
-        before = np.concatenate(([0], np.cumsum(lasts - firsts + 1)))[place]
-        unclear = np.sort(int64s(self.ambiguous))
-        outside = self._outside(unclear, firsts, lasts)
-        counted = np.searchsorted(unclear, indices) - np.searchsorted(outside, indices)
-        made = {
-            "publication_ns": int64s(self.publications)[order],
-            "reception_ns": int64s(self.receptions)[order],
-            "seq": before + indices - firsts[place] - counted,
-        }
-        return made | {"callback_end_ns": ends} if np.any(ends != NOT_SEEN_NS) else made
-
-    @staticmethod
-    def _outside(indices: Int64s, firsts: Int64s, lasts: Int64s) -> Int64s:
-        if not firsts.size:
-            return indices
-        place = np.searchsorted(firsts, indices, side="right") - 1
-        return indices[(place < 0) | (indices > lasts[place])]
+        decided = self._linked + (self.link.last - self.link.first + 1 if self.link else 0)
+        return max(0, decided - len(self.rows) - len(self.ambiguous))
 
 
 class MessageRecord:
@@ -246,31 +174,40 @@ class MessageRecord:
     def __init__(self, situation: Situation) -> None:
         self._situation = situation
         self.pairs: dict[tuple[End, End], MessagePair] = {}
-        self._linked: list[Endpoint] = []
+        self.takers = 0
+        """Of all publications that are remembered."""
+        self._links_epoch = 0
+
+    @property
+    def has_too_many_takers(self) -> bool:
+        """Whether publications have to be forgotten."""
+        return self.takers > TAKERS_MAX
 
     def matched(self, reception: Reception, publication: Publication) -> None:
         subscriber, publisher = reception.endpoint, publication.endpoint
         if subscriber.begin_ns is not None and publication.at_ns < subscriber.begin_ns:
             self.historic(reception)
             return
-        link = subscriber.links.get(publisher)
-        if link is None:
-            link = self._link(subscriber, publisher, publication.index)
-            if link is None:
-                return
-        publication.takers += (subscriber.end,)
+        pair = self._pair(publisher.end, subscriber.end)
+        if pair is None:
+            return
+        self._add_taker(publication, subscriber.end)
         reception.publication = publication
         subscriber.end.received += 1
-        link.pair.add(link, reception, publication)
+        pair.add(reception, publication, self._links_epoch)
+
+    def _add_taker(self, publication: Publication, taker: End) -> None:
+        publication.takers += (taker,)
+        self.takers += 1
 
     def ambiguous(self, reception: Reception, candidates: Sequence[Publication]) -> None:
         end = reception.endpoint.end
         end.ambiguous += 1
         for publication in candidates:
             if end not in publication.takers:
-                publication.takers += (end,)
+                self._add_taker(publication, end)
                 if (pair := self._pair(publication.endpoint.end, end)) is not None:
-                    pair.ambiguous.append(publication.index)
+                    pair.ambiguous.add((publication.index,))
 
     def duplicate(self, reception: Reception, publication: Publication) -> None:
         reception.endpoint.end.duplicates += 1
@@ -286,24 +223,14 @@ class MessageRecord:
     def forgotten(self, publication: Publication) -> None:
         if not publication.takers:
             publication.endpoint.end.forgotten += 1
+        self.takers -= len(publication.takers)
 
     def unlink(self) -> None:
         """Hits are missing: what comes next is counted from its own first message on."""
-        for endpoint in self._linked:
-            endpoint.links.clear()
-        self._linked.clear()
+        self._links_epoch += 1
 
     def _pair(self, publisher: End, subscriber: End) -> MessagePair | None:
         pair = self.pairs.get((publisher, subscriber))
         if pair is None and self._situation.add_stream():
-            pair = self.pairs[publisher, subscriber] = MessagePair(publisher, subscriber)
+            pair = self.pairs[publisher, subscriber] = MessagePair(publisher, subscriber, self._situation.store)
         return pair
-
-    def _link(self, subscriber: Endpoint, publisher: Endpoint, index: int) -> LinkedTime | None:
-        pair = self._pair(publisher.end, subscriber.end)
-        if pair is None:
-            return None
-        link = subscriber.links[publisher] = LinkedTime(pair, index)
-        pair.links.append(link)
-        self._linked.append(subscriber)
-        return link

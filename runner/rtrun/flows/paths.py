@@ -1,9 +1,9 @@
 """Paths of topics: how long after the first message of a path the one came that its last topic had from it."""
 
-from array import array
 from collections.abc import Sequence
 
 from rtrun.flows.messages import End, Publication, Reception
+from rtrun.flows.rows import RowStore
 
 _Hop = tuple[int, int]
 """A path by its place among them, and the place of a topic on it."""
@@ -12,18 +12,18 @@ _Hop = tuple[int, int]
 class PathLog:
     """Messages of a publisher at the end of a path: from when to when; of `unknown` ones no first message is known."""
 
-    __slots__ = ("begins", "ends", "unknown")
+    __slots__ = ("rows", "unknown")
 
-    def __init__(self) -> None:
-        self.begins: array[int] = array("q")
-        self.ends: array[int] = array("q")
+    def __init__(self, store: RowStore) -> None:
+        self.rows = store.rows(2)
         self.unknown = 0
 
 
 class PathRecord:
     """Follows messages along the paths that were asked for, each of two topics at least."""
 
-    def __init__(self, paths: Sequence[Sequence[str]]) -> None:
+    def __init__(self, paths: Sequence[Sequence[str]], store: RowStore) -> None:
+        self._store = store
         self.paths = tuple(tuple(path) for path in paths)
         self.logs: dict[tuple[int, End], PathLog] = {}
         self._hops: dict[str, list[_Hop]] = {}
@@ -40,9 +40,11 @@ class PathRecord:
             if begin_ns is not None:
                 publication.begins[number, place] = begin_ns
             if place == len(self.paths[number]) - 1:
-                log = self.logs.setdefault((number, publication.endpoint.end), PathLog())
+                of = number, publication.endpoint.end
+                log = self.logs.get(of)
+                if log is None:
+                    log = self.logs[of] = PathLog(self._store)
                 if begin_ns is None:
                     log.unknown += 1
                 else:
-                    log.begins.append(begin_ns)
-                    log.ends.append(publication.at_ns)
+                    log.rows.add((begin_ns, publication.at_ns))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from rtrun.flows.programs import Handle, LivingProcess, Numbering, numbered
+from rtrun.flows.rows import RowStore
 
 HITS_CLOCK = "steady"
 """The clock of the hits, CLOCK_MONOTONIC. How another one lies to it has to be told.
@@ -24,8 +25,10 @@ LABELS_MAX = 50_000
 class Situation:
     """Where an observation stands. `epoch` counts the gaps: what was seen in two epochs may not be joined."""
 
-    def __init__(self, begin_ns: int) -> None:
+    def __init__(self, begin_ns: int, store: RowStore) -> None:
         self.epoch = 0
+        self.store = store
+        """Of all that is measured."""
         self.blind_until_ns = begin_ns
         """The end of the last gap, or the begin."""
         self.numbering = Numbering()

@@ -6,50 +6,83 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from rtfiles.output import counted, printable
+from rtrun.analysis.histogram import Int64s
 from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.decided import DecidedMessages
 from rtrun.flows.messages import End, MessagePair
 from rtrun.flows.paths import PathLog
 from rtrun.flows.programs import numbered
+from rtrun.flows.rows import Rows, RowStore
 from rtrun.flows.threads import CallbackLog
-from rtrun.flows.timers import ClockOffsets, TimerLog, known_period_ns, lateness, skipped_periods
+from rtrun.flows.timers import ClockOffsets, TimerLog, known_period_ns, lateness
 from rtrun.flows.topics import PUBLISHER
-from rtrun.flows.values import Stream, differences, int64s
+from rtrun.flows.values import Stream, steps
 from rtrun.plan.observation import StreamKind
+from rtrun.results.columns import PIECE_ROWS, NoRoom, collected
 
 # That a program has ended may be told a round late.
 STALL_NS = 3 * 10**9
 Identity = dict[str, str | int]
 
 
-def streams(observed: FlowAccumulator) -> list[Stream]:
-    """One value for each thing that was measured, in the order in which they were first seen."""
-    made = [_printable(stream) for stream in _streams(observed)]
+def streams(observed: FlowAccumulator) -> Iterator[Stream]:
+    """One value for each thing that was measured, in the order in which they were first seen.
+
+    All of them together may be more than the memory holds.
+    """
     seen: dict[tuple[object, ...], int] = {}
-    for place, stream in enumerate(made):
+    for each in _streams(observed):
+        stream = _printable(each)
         # Names that differ in bytes that cannot be printed only are alike when printed.
         key = (stream.kind, *stream.identity.items())
         seen[key] = seen.get(key, 0) + 1
-        if seen[key] > 1:
-            made[place] = replace(stream, identity={**stream.identity, "alike": seen[key]})
-    return made
+        yield stream if seen[key] == 1 else replace(stream, identity={**stream.identity, "alike": seen[key]})
 
 
 def _streams(observed: FlowAccumulator) -> Iterator[Stream]:
+    store = observed.situation.store
     for pair in observed.topics.pairs.values():
         told_apart_by = observed.topics.told_apart_by(pair.publisher.topic)
-        yield replace(_messages(pair, told_apart_by), open_ns=_untaken_ns(pair, observed))
+        with _Reading(StreamKind.MESSAGES, message_identity(pair)) as reading:
+            reading.stream = replace(_messages(pair, told_apart_by, store), open_ns=_untaken_ns(pair, observed))
+        yield reading.stream
     for timer in observed.calls.timers.values():
-        made = _timer(timer, observed.offsets)
-        yield replace(made, open_ns=_overdue_ns(made.period_ns, timer, observed))
+        with _Reading(StreamKind.TIMER, timer_identity(timer)) as reading:
+            made = _timer(timer, observed.offsets, store)
+            reading.stream = replace(made, open_ns=_overdue_ns(made.period_ns, timer, observed))
+        yield reading.stream
     called = dict(observed.open_calls())
     for callback in observed.calls.callbacks.values():
-        yield replace(_callback(callback), open_ns=_unended_ns(callback, called, observed))
+        with _Reading(StreamKind.CALLBACK, callback_identity(callback)) as reading:
+            reading.stream = replace(_callback(callback), open_ns=_unended_ns(callback, called, observed))
+        yield reading.stream
     for (role, _, _), end in observed.topics.ends.items():
         if end.times:
-            open_ns = _silent_ns(end, observed) if role == PUBLISHER else 0
-            yield replace(_intervals(role, end), open_ns=open_ns)
+            with _Reading(StreamKind.INTERVALS, interval_identity(role, end)) as reading:
+                open_ns = _silent_ns(end.times, end, observed) if role == PUBLISHER else 0
+                reading.stream = replace(_intervals(role, end, store), open_ns=open_ns)
+            yield reading.stream
     for (number, publisher), log in observed.paths.logs.items():
-        yield _path(observed.paths.paths[number], publisher, log)
+        path = observed.paths.paths[number]
+        with _Reading(StreamKind.PATH, path_identity(path, publisher)) as reading:
+            reading.stream = _path(path, publisher, log)
+        yield reading.stream
+
+
+class _Reading:
+    """Holds a stream; one that there was no room to read has its trouble instead."""
+
+    def __init__(self, kind: StreamKind, identity: Identity) -> None:
+        self.stream = Stream(kind=kind, identity=identity, columns={}, counts={})
+
+    def __enter__(self) -> "_Reading":
+        return self
+
+    def __exit__(self, kind: object, error: object, traceback: object) -> bool:
+        if isinstance(error, NoRoom):
+            self.stream = replace(self.stream, trouble=str(error))
+            return True
+        return False
 
 
 def _printable(stream: Stream) -> Stream:
@@ -78,8 +111,9 @@ def path_identity(path: tuple[str, ...], publisher: End) -> Identity:
     return {"path": ",".join(path), "publisher": publisher.label}
 
 
-def _messages(pair: MessagePair, told_apart_by: str) -> Stream:
-    counts = pair.counts()
+def _messages(pair: MessagePair, told_apart_by: str, store: RowStore) -> Stream:
+    decided = DecidedMessages(pair)
+    counts = decided.counts()
     remarks: tuple[str, ...] = ()
     if counts.ambiguous:
         unknown = f"not known of {counted(counts.ambiguous, 'publication')} whether they came"
@@ -87,33 +121,49 @@ def _messages(pair: MessagePair, told_apart_by: str) -> Stream:
     return Stream(
         kind=StreamKind.MESSAGES,
         identity=message_identity(pair),
-        columns=pair.columns(),
+        columns=decided.columns(store),
         counts=asdict(counts),
         remarks=remarks,
         source=pair,
     )
 
 
-def _timer(log: TimerLog, offsets: ClockOffsets) -> Stream:
-    at, cuts = int64s(log.times), int64s(log.cuts)
-    late = lateness(log, offsets)
-    columns, counts = {"timestamp_ns": at}, {"calls": at.size}
-    if late.rows.size and (period_ns := known_period_ns(log)) is not None:
-        is_cut = np.isin(late.rows, cuts)
-        is_cut[1:] |= np.diff(late.rows) != 1
-        cuts = np.flatnonzero(is_cut)
-        columns = {"timestamp_ns": at[late.rows], "expected_ns": late.expected_ns, "real_ns": late.real_ns}
-        counts["skipped"] = skipped_periods(late.expected_ns, period_ns, cuts)
+def _timer(log: TimerLog, offsets: ClockOffsets, store: RowStore) -> Stream:
+    late = lateness(log, offsets, store)
+    counts = {"calls": len(log.rows)}
+    if late.at_ns.size:
+        cuts = late.cuts
+        columns = {"timestamp_ns": late.at_ns, "expected_ns": late.expected_ns, "real_ns": late.real_ns}
+        counts["skipped"] = late.skipped
+    else:
+        cuts = _cuts(log.cuts, store)
+        (at_ns,) = collected(store.folder, ((piece[:, 0],) for piece in log.rows.pieces()), 1)
+        columns = {"timestamp_ns": at_ns}
+    rows = columns["timestamp_ns"].size
     return Stream(
         kind=StreamKind.TIMER,
         identity=timer_identity(log),
-        columns=columns,
-        counts=counts | {"measured": len(columns["timestamp_ns"])},
+        columns=columns | {"segment": _segments(cuts, rows, store)},
+        counts=counts | {"measured": rows},
         period_ns=known_period_ns(log),
-        cuts=cuts[cuts > 0],
+        cuts=cuts,
         remarks=late.why_not,
         source=log,
     )
+
+
+def _cuts(cuts: Rows, store: RowStore) -> Int64s:
+    """The rows before which hits are missing; before the first row it says nothing."""
+    (made,) = collected(store.folder, ((piece[piece > 0],) for piece in cuts.pieces()), 1)
+    return made
+
+
+def _segments(cuts: Int64s, rows: int, store: RowStore) -> Int64s:
+    """How many cuts there are up to each row."""
+    starts = range(0, rows, PIECE_ROWS)
+    numbers = (np.arange(start, min(start + PIECE_ROWS, rows)) for start in starts)
+    (made,) = collected(store.folder, ((np.searchsorted(cuts, each, side="right"),) for each in numbers), 1)
+    return made
 
 
 def _callback(log: CallbackLog) -> Stream:
@@ -121,7 +171,7 @@ def _callback(log: CallbackLog) -> Stream:
 
 
 def _path(path: tuple[str, ...], publisher: End, log: PathLog) -> Stream:
-    outputs = len(log.ends) + log.unknown
+    outputs = len(log.rows) + log.unknown
     made = _durations(StreamKind.PATH, path_identity(path, publisher), log, {"unknown": log.unknown})
     if not log.unknown:
         return made
@@ -130,7 +180,7 @@ def _path(path: tuple[str, ...], publisher: End, log: PathLog) -> Stream:
 
 
 def _durations(kind: StreamKind, identity: Identity, log: CallbackLog | PathLog, counts: dict[str, int]) -> Stream:
-    begin, end = int64s(log.begins), int64s(log.ends)
+    begin, end = log.rows.columns()
     return Stream(
         kind=kind,
         identity=identity,
@@ -154,44 +204,45 @@ def _is_seen(record: End | TimerLog, observed: FlowAccumulator) -> bool:
     return record.latest is not None and record.latest[1].is_alive and record.latest[0] == observed.situation.epoch
 
 
-def _silent_ns(record: End | TimerLog, observed: FlowAccumulator) -> int:
+def _silent_ns(times: Rows, record: End | TimerLog, observed: FlowAccumulator) -> int:
     """Since the last message or call."""
     if not _is_seen(record, observed):
         return 0
-    longest_ns = int(differences(int64s(record.times), int64s(record.cuts)).max(initial=0))
-    return _stalled_ns(record.times[-1], longest_ns, observed)
+    longest_ns = max((int(some.max(initial=0)) for some in steps(times, record.cuts)), default=0)
+    return _stalled_ns(times[-1], longest_ns, observed)
 
 
 def _overdue_ns(period_ns: int | None, log: TimerLog, observed: FlowAccumulator) -> int:
     """Since a call was due."""
-    return 0 if period_ns is None else max(0, _silent_ns(log, observed) - period_ns)
+    return 0 if period_ns is None else max(0, _silent_ns(log.rows, log, observed) - period_ns)
 
 
 def _untaken_ns(pair: MessagePair, observed: FlowAccumulator) -> int:
     """Since the first message was published of those after the last one that the subscriber took of anybody."""
     publisher, subscriber = pair.publisher, pair.subscriber
-    if not pair.links or not (_is_seen(publisher, observed) and _is_seen(subscriber, observed)):
+    link = pair.link
+    if link is None or not (_is_seen(publisher, observed) and _is_seen(subscriber, observed)):
         return 0
-    link = pair.links[-1]
     # The publisher has not begun anew since then.
     is_same = publisher.cuts[-1] <= link.first and subscriber.times[-1] <= link.until_ns
-    if not is_same or not max(pair.ambiguous, default=-1) <= link.last < len(publisher.times) - 1:
+    unclear = max((int(piece.max()) for piece in pair.ambiguous.pieces()), default=-1)
+    if not is_same or not unclear <= link.last < len(publisher.times) - 1:
         return 0
-    longest_ns = int((int64s(pair.receptions) - int64s(pair.publications)).max(initial=0))
-    return _stalled_ns(publisher.times[link.last + 1], longest_ns, observed)
+    return _stalled_ns(publisher.times[link.last + 1], pair.longest_ns, observed)
 
 
 def _unended_ns(log: CallbackLog, called: Mapping[CallbackLog, int], observed: FlowAccumulator) -> int:
     """Since a callback began."""
     if log not in called:
         return 0
-    longest_ns = int((int64s(log.ends) - int64s(log.begins)).max(initial=0))
+    longest_ns = max((int(np.diff(piece).max()) for piece in log.rows.pieces()), default=0)
     return _stalled_ns(called[log], longest_ns, observed)
 
 
-def _intervals(role: str, end: End) -> Stream:
+def _intervals(role: str, end: End, store: RowStore) -> Stream:
     """The times at one end of a topic, and what became of the messages there."""
-    cuts = int64s(end.cuts)
+    cuts = _cuts(end.cuts, store)
+    (times,) = end.times.columns()
     remarks: tuple[str, ...] = ()
     counts = {"messages": len(end.times)}
     if role == PUBLISHER:
@@ -215,9 +266,9 @@ def _intervals(role: str, end: End) -> Stream:
     return Stream(
         kind=StreamKind.INTERVALS,
         identity=interval_identity(role, end),
-        columns={"timestamp_ns": int64s(end.times)},
+        columns={"timestamp_ns": times, "segment": _segments(cuts, times.size, store)},
         counts=counts,
-        cuts=cuts[cuts > 0],
+        cuts=cuts,
         remarks=remarks,
         source=end,
     )

@@ -1,11 +1,11 @@
 """What a thread is about: the message or timer that it handles, and the callbacks that it is in."""
 
-from array import array
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from rtrun.flows.messages import Reception
 from rtrun.flows.programs import LivingProcess, LivingThing
+from rtrun.flows.rows import RowStore
 from rtrun.flows.timers import LivingTimer
 
 Cause = Reception | LivingTimer
@@ -13,17 +13,16 @@ _CALLS_WITHOUT_CAUSE = 8
 
 
 class CallbackLog:
-    """The calls of a callback on one thread, over all restarts of its program."""
+    """The calls of a callback on one thread, over all restarts of its program. `rows`: begin and end."""
 
-    __slots__ = ("begins", "ends", "label", "number", "subject", "thread")
+    __slots__ = ("label", "number", "rows", "subject", "thread")
 
-    def __init__(self, label: str, subject: str, number: int, thread: int) -> None:
+    def __init__(self, label: str, subject: str, number: int, thread: int, store: RowStore) -> None:
         self.label = label
         self.subject = subject
         self.number = number
         self.thread = thread
-        self.begins: array[int] = array("q")
-        self.ends: array[int] = array("q")
+        self.rows = store.rows(2)
 
 
 class LivingCallback(LivingThing):

@@ -1,6 +1,7 @@
 """Timers: when each was called and when it was due, and what of that is lateness."""
 
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,10 +9,12 @@ import numpy as np
 from rtfiles.output import counted
 from rtrun.analysis.histogram import Int64s
 from rtrun.flows.programs import Handle, LivingProcess, LivingThing
+from rtrun.flows.rows import RowStore
 from rtrun.flows.situation import HITS_CLOCK
-from rtrun.flows.values import differences, int64s
+from rtrun.flows.values import int64s, steps
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.output import no_values
+from rtrun.results.columns import PIECE_ROWS, collected
 
 LEAST_CALLS = 3
 """One that was called less often has no interval to go by: rclpy makes a timer for each spin_once with a time limit."""
@@ -29,18 +32,17 @@ def timer_name(period_ns: int | None) -> str:
 
 
 class TimerLog:
-    """The calls of a timer, over all restarts of its program."""
+    """The calls of a timer, over all restarts of its program. `rows`: when it was called, and when that was due."""
 
-    __slots__ = ("clock", "cuts", "expected", "label", "latest", "number", "period_ns", "times")
+    __slots__ = ("clock", "cuts", "label", "latest", "number", "period_ns", "rows")
 
-    def __init__(self, label: str, period_ns: int | None, clock: str | None, number: int) -> None:
+    def __init__(self, label: str, period_ns: int | None, clock: str | None, number: int, store: RowStore) -> None:
         self.label = label
         self.period_ns = period_ns
         self.clock = clock
         self.number = number
-        self.times: array[int] = array("q")
-        self.expected: array[int] = array("q")
-        self.cuts: array[int] = array("q")
+        self.rows = store.rows(2)
+        self.cuts = store.rows()
         self.latest: tuple[int, LivingTimer] | None = None
 
     @property
@@ -52,10 +54,9 @@ class TimerLog:
         """Count a call."""
         latest = self.latest
         if latest is None or latest[1] is not timer or latest[0] != epoch:
-            self.cuts.append(len(self.times))
+            self.cuts.add((len(self.rows),))
             self.latest = (epoch, timer)
-        self.times.append(at_ns)
-        self.expected.append(expected_ns)
+        self.rows.add((at_ns, expected_ns))
 
 
 class LivingTimer(LivingThing):
@@ -75,14 +76,17 @@ class LivingTimer(LivingThing):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lateness:
-    """Rows of a timer whose lateness is known: their index, when each was due and when it was called on its own clock.
+    """The calls of a timer whose lateness is known: when each was, and by its own clock when it was due and called.
 
-    All int64 of shape (n,). `why_not` says in sentences why some or all are not there.
+    All int64 of shape (n,); `cuts` are as those of a stream. `skipped` are whole periods without a call, by how the
+    grid went on. `why_not` says in sentences why some or all are not there.
     """
 
-    rows: Int64s
+    at_ns: Int64s
     expected_ns: Int64s
     real_ns: Int64s
+    cuts: Int64s
+    skipped: int = 0
     why_not: tuple[str, ...] = ()
 
 
@@ -126,40 +130,78 @@ def known_period_ns(log: TimerLog) -> int | None:
     """The period that the timer was given, if its calls come at about that distance."""
     if log.period_ns is None or log.period_ns <= 0:
         return None
-    steps = differences(int64s(log.times), int64s(log.cuts))
-    if not steps.size or abs(float(np.median(steps)) / log.period_ns - 1) > _PERIOD_OFF_MAX:
+    medians = [float(np.median(some)) for some in steps(log.rows, log.cuts) if some.size]
+    # Of a long stream it is that of its pieces.
+    if not medians or abs(float(np.median(medians)) / log.period_ns - 1) > _PERIOD_OFF_MAX:
         return None
     return log.period_ns
 
 
-def lateness(log: TimerLog, offsets: ClockOffsets) -> Lateness:
-    """The calls whose lateness is certain."""
-    at, expected = int64s(log.times), int64s(log.expected)
-    told = expected != NOT_SEEN_NS
-    if known_period_ns(log) is None:
+def lateness(log: TimerLog, offsets: ClockOffsets, store: RowStore) -> Lateness:
+    """The calls whose lateness is certain. Raises NoRoom."""
+    period_ns = known_period_ns(log)
+    if period_ns is None:
         return _none("period not known: none was told, or its calls lie more than 10 % from it")
-    if not told.any():
+    if not any(np.any(piece[:, 1] != NOT_SEEN_NS) for piece in log.rows.pieces()):
         return _none("no probe tells when its calls were due")
     if log.clock is None:
         return _none("the clock of its grid is not known")
+    certain = _CertainCalls(log, log.clock, period_ns, offsets)
+    at_ns, expected_ns, real_ns, cuts = collected(store.folder, certain.pieces(), 4)
     why_not = []
-    offset, known, step_ns = offsets.read(log.clock, at)
-    if step_ns:
-        why_not.append(f"its clock ({log.clock}) was set by up to {step_ns / 1e6:.3g} ms: no lateness around that")
-    unknown = int(np.count_nonzero(told & ~known))
-    if unknown:
-        why_not.append(f"no lateness of {counted(unknown, 'call')}: not known how its clock ({log.clock}) stood then")
-    rows = np.flatnonzero(told & known)
-    if rows.size and not 0 <= np.median((at + offset - expected)[rows]) <= _LATE_MAX_NS:
+    if certain.step_ns:
+        step = f"{certain.step_ns / 1e6:.3g} ms"
+        why_not.append(f"its clock ({log.clock}) was set by up to {step}: no lateness around that")
+    if certain.unknown:
+        calls = counted(certain.unknown, "call")
+        why_not.append(f"no lateness of {calls}: not known how its clock ({log.clock}) stood then")
+    if certain.medians and not 0 <= np.median(certain.medians) <= _LATE_MAX_NS:
         return _none(f"its grid is not one of the clock ({log.clock}); is the time simulated?")
-    return Lateness(rows=rows, expected_ns=expected[rows], real_ns=(at + offset)[rows], why_not=tuple(why_not))
+    return Lateness(
+        at_ns=at_ns,
+        expected_ns=expected_ns,
+        real_ns=real_ns,
+        cuts=cuts,
+        skipped=certain.skipped,
+        why_not=tuple(why_not),
+    )
 
 
 def _none(reason: str) -> Lateness:
-    return Lateness(rows=no_values(), expected_ns=no_values(), real_ns=no_values(), why_not=(f"no lateness: {reason}",))
+    none = no_values()
+    return Lateness(at_ns=none, expected_ns=none, real_ns=none, cuts=none, why_not=(f"no lateness: {reason}",))
 
 
-def skipped_periods(expected_ns: Int64s, period_ns: int, cuts: Int64s) -> int:
-    """Whole periods without a call, by how the grid went on; not across a cut."""
-    steps = differences(expected_ns, cuts)
-    return int(np.maximum((steps + _ROUNDING_NS) // period_ns - 1, 0).sum())
+class _CertainCalls:
+    """Reads the calls of a timer whose lateness is certain, some at a time, and sums up what is to be said of all."""
+
+    def __init__(self, log: TimerLog, clock: str, period_ns: int, offsets: ClockOffsets) -> None:
+        self._log, self._clock, self._period_ns, self._offsets = log, clock, period_ns, offsets
+        self.step_ns = self.unknown = self.skipped = 0
+        self.medians: list[float] = []
+        """How late they were, of each piece."""
+
+    def pieces(self) -> Iterator[tuple[Int64s, Int64s, Int64s, Int64s]]:
+        """When each was, was due and was called on the timer's clock, and which of these rows are cuts."""
+        before, last_row, last_due = 0, np.empty(0, np.int64), np.empty(0, np.int64)
+        for begin in range(0, len(self._log.rows), PIECE_ROWS):
+            at, due = self._log.rows.read(begin, begin + PIECE_ROWS).T
+            offset, known, step_ns = self._offsets.read(self._clock, at)
+            self.step_ns = max(self.step_ns, step_ns)
+            told = due != NOT_SEEN_NS
+            self.unknown += int(np.count_nonzero(told & ~known))
+            rows = np.flatnonzero(told & known)
+            if not rows.size:
+                continue
+            at, due, real = at[rows], due[rows], (at + offset)[rows]
+            self.medians.append(float(np.median(real - due)))
+            rows = rows + begin
+            is_cut = np.isin(rows, self._log.cuts.between(begin, begin + PIECE_ROWS))
+            is_cut[1 - last_row.size :] |= np.diff(np.append(last_row, rows)) != 1
+            # The first one of all has none before it.
+            is_cut[0] |= not last_row.size
+            steps_ns = np.diff(np.concatenate((last_due, due)))[~is_cut[1 - last_row.size :]]
+            self.skipped += int(np.maximum((steps_ns + _ROUNDING_NS) // self._period_ns - 1, 0).sum())
+            cuts = np.flatnonzero(is_cut) + before
+            yield at, due, real, cuts[cuts > 0]
+            before, last_row, last_due = before + rows.size, rows[-1:], due[-1:]

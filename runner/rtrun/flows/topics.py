@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from rtrun.flows.matching import PayloadMatching, StampMatching, has_header
-from rtrun.flows.messages import End, Endpoint, MessageRecord, Payload, Publication, Reception
+from rtrun.flows.messages import TAKERS_MAX, End, Endpoint, MessageRecord, Payload, Publication, Reception
 from rtrun.flows.paths import PathRecord
 from rtrun.flows.programs import NAME_CHARACTERS_MAX, Handle, LivingProcess, full_name
 from rtrun.flows.recorder import FlowRecorder
@@ -46,7 +46,8 @@ class TopicRecord(MessageRecord):
         while True:
             for matching in matchings:
                 matching.expire(now_ns + self._horizon_ns - horizon_ns)
-            if sum(matching.open for matching in matchings) <= _OPEN_MAX:
+            # So many fewer takers, that it is not done again with the next message.
+            if sum(matching.open for matching in matchings) <= _OPEN_MAX and self.takers <= TAKERS_MAX // 2:
                 return
             # More than a system publishes within the horizon at the highest rate: less is remembered.
             horizon_ns //= 2
@@ -155,7 +156,7 @@ class TopicRecord(MessageRecord):
         end = self.ends.get((role, topic, label))
         if end is None:
             situation.add_stream()
-            end = self.ends[role, topic, label] = End(topic, label)
+            end = self.ends[role, topic, label] = End(topic, label, situation.store)
         endpoint.end = end
         return endpoint
 

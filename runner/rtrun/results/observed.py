@@ -15,6 +15,7 @@ from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.output import Counts, Files, Indices, InEffect, Record, Thread, Traces, Uname
 from rtrun.kinds.rate import Rate
 from rtrun.plan.suites import Value, suite
+from rtrun.results.columns import pieces
 
 CLOCK = "CLOCK_MONOTONIC"
 GRAPH = "graph.json"
@@ -123,8 +124,7 @@ def write_stream(
     `threads` are those of the program that has the values: of messages the subscriber's.
     """
     names = suite(stream.suite).columns
-    rows = np.stack([np.asarray(stream.columns[name], dtype="<i8") for name in names], axis=1)
-    np.save(folder / f"{output}.npy", rows, allow_pickle=False)
+    _write_samples(folder / f"{output}.npy", [stream.columns[name] for name in names])
     record = Record(
         schema=1,
         suite=stream.suite,
@@ -162,6 +162,15 @@ def write_stream(
         traces=Traces(above_limit=stream.above_limit, files=_write_traces(folder, output, stream)),
     )
     atomic.write_text(folder / f"{output}.json", record.model_dump_json(by_alias=True, indent=2) + "\n")
+
+
+def _write_samples(path: Path, columns: Sequence[Int64s]) -> None:
+    """Write columns as the rows of an npy file, some at a time: there may be more than the memory holds."""
+    header = {"descr": "<i8", "fortran_order": False, "shape": (columns[0].size, len(columns))}
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        for some in pieces(*columns):
+            file.write(np.stack(some, axis=1).astype("<i8", copy=False).data)
 
 
 def _write_traces(folder: Path, output: str, stream: ObservedOutput) -> list[str]:

@@ -207,7 +207,7 @@ def test_names_of_programs(argv, label):
     observed = FlowAccumulator(begin_ns=0)
     observed.observe([program(1, argv)])
     observed.feed([publish(1)])
-    assert streams(observed)[0].identity["node"] == label
+    assert next(streams(observed)).identity["node"] == label
 
 
 def test_a_thread_of_an_unknown_process_is_one_of_the_process_that_is_known_by_other_means():

@@ -105,7 +105,7 @@ def test_no_lateness_is_guessed(values, reason):
         for at_ns in (0, S):
             observed.offset("system", at_ns, 1_700_000_000 * S)
     (stream,) = timers(observed)
-    assert set(stream.columns) == {"timestamp_ns"} and stream.columns["timestamp_ns"].size == 50
+    assert set(stream.columns) == {"timestamp_ns", "segment"} and stream.columns["timestamp_ns"].size == 50
     assert reason in stream.remarks[0]
 
 

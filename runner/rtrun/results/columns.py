@@ -1,0 +1,78 @@
+"""Columns of values that may be longer than the memory: they are made and read some rows at a time."""
+
+import contextlib
+import mmap
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from rtfiles.errors import InfrastructureError
+from rtrun.analysis.histogram import Int64s
+
+PIECE_ROWS = 2**16
+"""What is in memory at one time."""
+
+
+class NoRoom(InfrastructureError):
+    """There are more values than may be kept, or the disk does not take them. Those before are kept."""
+
+
+@contextlib.contextmanager
+def kept_in(folder: Path | None) -> Iterator[None]:
+    """Turn what the system says of a file in a folder into NoRoom."""
+    try:
+        yield
+    except OSError as error:
+        where = folder or tempfile.gettempdir()
+        raise NoRoom(f"{where}: cannot keep what is observed: {error.strerror}") from error
+
+
+def collected(folder: Path | None, pieces: Iterable[tuple[Int64s, ...]], count: int) -> tuple[Int64s, ...]:
+    """So many columns from pieces of them, each int64 (n,); long ones are in files without names in the folder.
+
+    Raises NoRoom where the disk does not take them.
+    """
+    made = [_ColumnFile(folder) for _ in range(count)]
+    with kept_in(folder):
+        for piece in pieces:
+            for column, values in zip(made, piece, strict=True):
+                column.add(values)
+        return tuple(column.values() for column in made)
+
+
+class _ColumnFile:
+    """A column that is made of pieces."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._parts: list[Int64s] = []
+        self._count = 0
+        self._file: IO[bytes] | None = None
+
+    def add(self, values: Int64s) -> None:
+        self._parts.append(values)
+        self._count += values.size
+        if self._count > PIECE_ROWS:
+            self._file = self._file or tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115
+            for part in self._parts:
+                self._file.write(np.ascontiguousarray(part).data)
+            self._parts.clear()
+
+    def values(self) -> Int64s:
+        if self._file is None:
+            return np.concatenate([np.empty(0, np.int64), *self._parts])
+        with self._file:
+            self._file.flush()
+            return np.memmap(self._file, np.int64, mode="r", shape=(self._count,))
+
+
+def pieces(*columns: Int64s) -> Iterator[tuple[Int64s, ...]]:
+    """Columns of one length, some rows at a time; what is read of long ones does not stay in memory."""
+    for begin in range(0, columns[0].size, PIECE_ROWS):
+        yield tuple(column[begin : begin + PIECE_ROWS] for column in columns)
+        for column in columns:
+            if isinstance(mapped := getattr(column, "_mmap", None), mmap.mmap):
+                mapped.madvise(mmap.MADV_DONTNEED)
