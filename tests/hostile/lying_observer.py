@@ -13,7 +13,7 @@ from pathlib import Path
 
 TOP = Path(__file__).parents[2]
 sys.path[:0] = [str(TOP / folder) for folder in ("runner", "tools", "tests")]
-from watched import COMMON, FIELD, HEADERS, PRINT, a_round, event, mark, page  # noqa: E402
+from watched import COMMON, FIELD, HEADERS, PRINT, SWITCH, a_round, event, mark, page  # noqa: E402
 
 PUBLISH = f"""name: publish_0_0
 ID: 1501
@@ -29,7 +29,7 @@ ID: 1502
 \tfield:u64 callback;\toffset:8;\tsize:8;\tsigned:0;
 """
 STAT = " S 1 1 1 0 -1 4194368 1 0 0 0 0 0 0 0 20 0 18 0 227595 1 1 1 1 1 1 1 1 0 0 0 0 0 0 0 17 1 0 0 0 0 0"
-PUBLISHED, TAKEN = 1501, 1500
+PUBLISHED, TAKEN, CALLBACK_ID = 1501, 1500, 1502
 TEXTS_AT = 28
 """Where fields of a message begin that no probe asked for."""
 BEGIN_NS = 10**9
@@ -47,7 +47,7 @@ def hits(lie: str):
     """The hits of a lie, without an end."""
     for n in itertools.count():
         if lie == "callbacks":
-            yield struct.pack("<HBBiQ", 1502, 0, 0, 7, n)
+            yield struct.pack("<HBBiQ", CALLBACK_ID, 0, 0, 7, n)
             continue
         tid = 7 if lie != "threads" else 1 + n % (1 << 22)
         endpoint = n if lie == "endpoints" else 1
@@ -63,6 +63,13 @@ def hits(lie: str):
             names = [len(text) << 16 | (TEXTS_AT + 4 * 190)] * 191
             yield struct.pack("<HBBiQq191I", PUBLISHED, 0, 0, 7, 1, n, *names) + text + bytes(-(len(text) + 788) % 4)
             continue
+        if lie == "traces":
+            if n % 2:
+                # Between a publication and its reception.
+                for thread in range(20):
+                    yield struct.pack("<HBBi16siiq16sii", 300, 1, 0, 7, b"hog", thread, 50, 1, b"l%d" % n, n, 120)
+            topic = b"/%d" % (n // 2 % 1000)
+            yield struct.pack("<HBBiQ", CALLBACK_ID, 0, 0, n % 1000, n % 5000)
         source_ns = 5 if lie == "stamps" else n // 2
         yield message(
             (PUBLISHED, TAKEN)[n % 2 if lie != "stamps" else n // 50_000 % 2], tid, endpoint, source_ns, topic
@@ -101,6 +108,7 @@ def main() -> None:
     head = f"rtrun observes\nheader_page\n{HEADERS[64]}rtrun end header_page\n"
     head += "".join(f"placed {name}\n" for name in formats)
     told = {f"rtrun_observe_1_2_3/{name}": text for name, text in formats.items()} | {"ftrace/print": PRINT}
+    told["/events/sched/sched_switch"] = SWITCH
     head += "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in told.items())
     say(f"{head}ready\n".encode())
     begin_ns = BEGIN_NS - 10 if lie != "clock" else 1 << 62

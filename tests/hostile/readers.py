@@ -65,6 +65,7 @@ from rtrun.results.record import (
     TargetFacts,
 )
 from rtrun.results.record import verify as verify_run
+from rtrun.results.texts import TextStore
 from rtrun.results.topology_record import write_topology
 from rtrun.targets import processes
 from rtrun.targets.address import Address
@@ -521,7 +522,8 @@ def _observed_runs() -> list[Files]:
         "callback_end_ns": at_ns + 950,
     }
     timer = {"timestamp_ns": at_ns, "expected_ns": at_ns - 5, "real_ns": at_ns, "segment": np.zeros(n, np.int64)}
-    text = b"x-70 [000] ..... 1000.000000500: callback_end: took_ns=400 name=timer 1 ms of /b\n"
+    text = TextStore(None).add(["x-70 [000] ..... 1000.000000500: callback_end: took_ns=400 name=timer 1 ms of /b\n"])
+    assert text
     late = TracedValue(index=3, value_ns=900, limit_ns=10, at_ns=int(at_ns[3]) + 900, tid=70, text=text)
     streams = [
         ObservedOutput(

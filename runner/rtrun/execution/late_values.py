@@ -1,33 +1,39 @@
 """Late values of an observation, each with the kernel's events around it, from which its cause is read."""
 
-from bisect import bisect_left
+import heapq
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
+from pathlib import Path
 
 import numpy as np
 
 from rtfiles.output import printable
 from rtrun.analysis.histogram import Int64s
 from rtrun.causes.control import control_ns
-from rtrun.causes.ftrace import CALLBACK_CHARACTERS_MAX
 from rtrun.causes.outliers import AFTER_NS, BEFORE_NS
 from rtrun.flows.live import NewValues
 from rtrun.flows.turns import Turn
 from rtrun.plan.observation import StreamKind
 from rtrun.plan.trace import quantile
-from rtrun.probes.hits import Gap, Hit
+from rtrun.probes.hits import GAPS_MAX, Gap, Hit, joined
+from rtrun.probes.kernel_events import KernelEvents
 from rtrun.probes.stream import Batch
 from rtrun.probes.trace_text import trace_text
+from rtrun.results.texts import StoredText, TextStore
 
 # Of a stream, as many as a program of the suites keeps.
 TRACES_MAX = 16
-# Of all streams: some thousand traces.
-TEXT_BYTES_MAX = 256 * 1024 * 1024
-# So long events are kept, and no more of them: that takes some 130 MiB.
+# So long events are kept, and no more of them: the kernel's, what threads had to do with the characters of its names,
+# and when there were hits. On a busy machine that is as long.
 KEPT_NS = 10 * 10**9
-EVENTS_KEPT = 400_000
+EVENTS_BYTES_MAX = 64 * 1024 * 1024
+TURNS_MAX = 100_000
+TURN_CHARACTERS_MAX = 6_000_000
+HITS_MAX = 1_000_000
+# Text of traces that is made at one time, some seconds' work: other late values wait for the next one.
+TEXT_BYTES_AT_ONCE_MAX = 32 * 1024 * 1024
 # Between two messages a time passes that is as long as it should be.
 TRACED = frozenset({StreamKind.MESSAGES, StreamKind.TIMER, StreamKind.CALLBACK, StreamKind.PATH})
 
@@ -36,7 +42,7 @@ TRACED = frozenset({StreamKind.MESSAGES, StreamKind.TIMER, StreamKind.CALLBACK, 
 class LateValue:
     """A value above the limit that held when it came, at a time of CLOCK_MONOTONIC, to a thread.
 
-    `text` is the kernel's trace around it; it is empty until the events after it are there, and where it was not kept.
+    `text` is the kernel's trace around it, empty where it was not kept; None until the events after it are there.
     Values that are near one another have the same.
     """
 
@@ -44,7 +50,7 @@ class LateValue:
     at_ns: int
     limit_ns: int
     tid: int | None
-    text: bytes = b""
+    text: StoredText | None = None
 
     @property
     def due_ns(self) -> int:
@@ -78,7 +84,7 @@ class LateValues:
         """Keep one that came after those before."""
         last = self.kept[-1] if self.kept else None
         if last is not None and late.due_ns < last.at_ns and last.due_ns < late.at_ns:
-            if late.value_ns > last.value_ns and not last.text:
+            if late.value_ns > last.value_ns and last.text is None:
                 self.kept[-1] = late
         elif len(self.kept) < TRACES_MAX:
             self.kept.append(late)
@@ -88,34 +94,55 @@ class LateValueRecord:
     """Keeps the kernel's events of the last seconds, and of those the ones around late values.
 
     `above` is the limit as `rtrun.plan.trace.read_trace` gives it; a quantile is one of the values of a stream so far.
-    `symbols` are names of the kernel's functions by their addresses. A batch is first given to `record`, then its
-    values to `look`; `cut` then makes the traces of those after which all events are there.
+    `symbols` are names of the kernel's functions by their addresses, `folder` is where traces are stored; None: where
+    temporary files are. A batch is first given to `record`, then its values to `look`; `cut` then makes the traces of
+    those after which all events are there.
     """
 
-    def __init__(self, above: str, symbols: Mapping[int, str]) -> None:
+    def __init__(self, above: str, symbols: Mapping[int, str], folder: Path | None = None) -> None:
         self.above = above
         self.streams: dict[object, LateValues] = {}
         """By the source of each stream."""
         self._symbols = symbols
         self._part = quantile(above)
-        self._events: list[Hit] = []
+        self._events: deque[KernelEvents] = deque()
+        """By batches."""
         self._gaps: list[Gap] = []
-        self._turns: deque[Turn] = deque(maxlen=EVENTS_KEPT)
+        self._turns: deque[Turn] = deque()
         self._hits: deque[tuple[Int64s, Int64s]] = deque()
         """When there were hits, and of which threads, by batches."""
-        self._text_bytes = 0
+        self._events_bytes = self._turn_characters = self._hit_count = 0
+        self._texts = TextStore(folder)
 
     def record(self, batch: Batch) -> None:
         """Take the kernel's events of a batch, and which thread each hit was of."""
-        self._events += batch.kernel
+        if len(batch.kernel):
+            self._events.append(batch.kernel)
+            self._events_bytes += batch.kernel.size_bytes
+        while self._events_bytes > EVENTS_BYTES_MAX:
+            self._events_bytes -= self._events.popleft().size_bytes
         self._gaps += batch.gaps
+        if len(self._gaps) > GAPS_MAX:
+            self._gaps = joined(self._gaps)
         if batch.hits:
             hits = np.array([(hit.at_ns, hit.tid) for hit in batch.hits], dtype=np.int64)
             self._hits.append((hits[:, 0], hits[:, 1]))
+            self._hit_count += len(hits)
+        while self._hit_count > HITS_MAX:
+            self._forget_hits()
+
+    def _forget_hits(self) -> None:
+        self._hit_count -= self._hits.popleft()[0].size
 
     def turn(self, turn: Turn) -> None:
         """Take what a thread had to do; it is told before the values of its batch."""
         self._turns.append(turn)
+        self._turn_characters += len(turn.name)
+        while len(self._turns) > TURNS_MAX or self._turn_characters > TURN_CHARACTERS_MAX:
+            self._forget_turn()
+
+    def _forget_turn(self) -> None:
+        self._turn_characters -= len(self._turns.popleft().name)
 
     def look(self, new: NewValues) -> None:
         """Note which new values of a stream are late."""
@@ -152,41 +179,70 @@ class LateValueRecord:
 
     def cut(self, until_ns: int) -> None:
         """Make the traces of late values, and forget old events; `until_ns`: all events before are there."""
+        turns: _TurnsByTime | None = None
+        end = self._texts.end + TEXT_BYTES_AT_ONCE_MAX
         for late in self.streams.values():
             for near in _near(sorted(self._waiting(late, until_ns), key=lambda one: one.from_ns)):
-                text = self._text(near[0].from_ns, max(one.until_ns for one in near))
+                if self._texts.end >= end:
+                    break
+                turns = turns or _TurnsByTime(self._turns)
+                text = self._text(turns, near[0].from_ns, max(one.until_ns for one in near))
                 for one in near:
                     one.text = text
         oldest_ns = until_ns - KEPT_NS
-        too_old = bisect_left(self._events, oldest_ns, key=itemgetter(0))
-        del self._events[: max(too_old, len(self._events) - EVENTS_KEPT)]
+        while self._events and self._events[0].at_ns[-1] < oldest_ns:
+            self._events_bytes -= self._events.popleft().size_bytes
         self._gaps = [gap for gap in self._gaps if gap.until_ns >= oldest_ns]
         while self._hits and self._hits[0][0][-1] < oldest_ns:
-            self._hits.popleft()
+            self._forget_hits()
         while self._turns and self._turns[0].begin_ns < oldest_ns:
-            self._turns.popleft()
+            self._forget_turn()
 
     def _waiting(self, late: LateValues, until_ns: int) -> Iterator[LateValue]:
         """Those whose events are all there now."""
-        oldest_ns = self._events[0].at_ns if self._events else until_ns
-        return (one for one in late.kept if not one.text and oldest_ns < one.at_ns and one.until_ns <= until_ns)
+        oldest_ns = int(self._events[0].at_ns[0]) if self._events else until_ns
+        return (one for one in late.kept if one.text is None and oldest_ns < one.at_ns and one.until_ns <= until_ns)
 
-    def _text(self, from_ns: int, until_ns: int) -> bytes:
-        first, last = (bisect_left(self._events, at_ns, key=itemgetter(0)) for at_ns in (from_ns, until_ns))
+    def _text(self, turns: "_TurnsByTime", from_ns: int, until_ns: int) -> StoredText:
         gaps = [gap for gap in self._gaps if from_ns <= gap.until_ns <= until_ns]
-        if self._text_bytes > TEXT_BYTES_MAX:
-            return b""
-        callbacks = [hit for turn in self._turns if from_ns <= (hit := _as_event(turn)).at_ns < until_ns]
-        events = sorted([*self._events[first:last], *callbacks], key=itemgetter(0))
-        text = "".join(trace_text(events, gaps, self._symbols)).encode()
-        self._text_bytes += len(text)
-        return text
+        kernel = [each.between(from_ns, until_ns) for each in self._events]
+        events = _EventsOfTrace(kernel, turns.between(from_ns, until_ns))
+        return self._texts.add(trace_text(events, gaps, self._symbols))
+
+
+class _TurnsByTime:
+    """What threads had to do, by when each has its event in a trace."""
+
+    def __init__(self, turns: Iterable[Turn]) -> None:
+        self._turns = sorted(turns, key=_event_ns)
+        self._at_ns = np.array([*map(_event_ns, self._turns)], np.int64)
+
+    def between(self, from_ns: int, until_ns: int) -> Sequence[Turn]:
+        """Those whose events are from a time to before another."""
+        first, last = np.searchsorted(self._at_ns, [from_ns, until_ns])
+        return self._turns[first:last]
+
+
+@dataclass(frozen=True, slots=True)
+class _EventsOfTrace:
+    """Events of the kernel and callbacks in the order of time, decoded as they are gone through."""
+
+    kernel: Sequence[KernelEvents]
+    turns: Sequence[Turn]
+
+    def __iter__(self) -> Iterator[Hit]:
+        return heapq.merge(*self.kernel, map(_as_event, self.turns), key=itemgetter(0))
+
+
+def _event_ns(turn: Turn) -> int:
+    """At its end, or where that was not seen, at its begin."""
+    return turn.begin_ns if turn.end_ns is None else turn.end_ns
 
 
 def _as_event(turn: Turn) -> Hit:
-    """A callback as an event of the trace: at its end, or where that was not seen, at its begin."""
+    """A callback as an event of the trace."""
     none: dict[str, int | str] = {"common_flags": 0, "common_preempt_count": 0}
-    name = printable(turn.name)[:CALLBACK_CHARACTERS_MAX]
+    name = printable(turn.name)
     if turn.end_ns is None:
         return Hit(turn.begin_ns, turn.cpu, turn.pid, turn.tid, "callback_begin", {**none, "name": name})
     told = {**none, "took_ns": turn.end_ns - turn.begin_ns, "name": name}

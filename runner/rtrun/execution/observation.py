@@ -142,7 +142,7 @@ def observe(
     figures: LiveFigures | None = None
     began, finished, broken = Began(placed=(), refused=()), None, ""
     cut_off: KeyboardInterrupt | TargetRebooted | None = None
-    late = LateValueRecord(trace, kernel_trace.read_symbols(link)) if trace else None
+    late = LateValueRecord(trace, kernel_trace.read_symbols(link), folder) if trace else None
     start_time, gone_ns, until_ns = now().isoformat(), 0, 0
     stream = session.observe(
         link,

@@ -230,7 +230,9 @@ _TIMES = {
 def _traced(stream: Stream, kept: Sequence[LateValue]) -> Iterator[TracedValue]:
     """The late values that have a trace, by the indices that they have in the samples."""
     for one in kept:
-        row = _row_at(stream.columns[_TIMES[stream.kind]], one.at_ns) if one.text else None
+        if not one.text:
+            continue
+        row = _row_at(stream.columns[_TIMES[stream.kind]], one.at_ns)
         if row is not None:
             yield TracedValue(
                 index=int(stream.columns["seq"][row]) if stream.kind is StreamKind.MESSAGES else row,

@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from rtrun.causes.ftrace import CALLBACK_CHARACTERS_MAX
 from rtrun.flows.messages import Endpoint, Reception
-from rtrun.flows.programs import NAME_CHARACTERS_MAX, LivingProcess, LivingThing, numbered
+from rtrun.flows.programs import LivingProcess, LivingThing, numbered
 from rtrun.flows.situation import Situation
 from rtrun.flows.threads import ObservedThread, OpenTurn
 from rtrun.flows.timers import LivingTimer, timer_name
@@ -47,7 +48,8 @@ class TurnRecord:
         elif event in _ENDS:
             if turn is not None:
                 self._end(turn, thread, _end_ns(turn, hit, thread))
-            name = self._name(hit, thread)
+            # Of each thread one is kept, and many are once they have ended.
+            name = self._name(hit, thread)[:CALLBACK_CHARACTERS_MAX]
             if name:
                 has_callback = event == "callback_begin" and "topic" not in hit.values
                 thread.turn = OpenTurn(hit.at_ns, hit.cpu, name, has_callback)
@@ -61,7 +63,7 @@ class TurnRecord:
         if hit.event == "callback_begin":
             topic = hit.values.get("topic")
             if isinstance(topic, str):
-                return f"{topic[:NAME_CHARACTERS_MAX]} of {self._label(thread.process, thread.process.label)}"
+                return f"{topic} of {self._label(thread.process, thread.process.label)}"
             owner = thread.callbacks[-1].callback.owner if thread.callbacks else None
             return self._name_of(owner, thread.process)
         if isinstance(thread.cause, LivingTimer):

@@ -13,8 +13,9 @@ from operator import itemgetter
 
 from rtfiles.untrusted import whole_number
 from rtrun.plan.limits import CPUS_MAX, PID_MAX, WALL_TIME_MAX_NS
-from rtrun.probes.formats import EventFormat, RawValues
+from rtrun.probes.formats import EventFormat
 from rtrun.probes.hits import Gap, GapCause, Hit
+from rtrun.probes.kernel_events import EventKind, KernelEvents, WaitingEvents
 from rtrun.probes.placement import PlacedProbe
 from rtrun.probes.programs import LINE_BYTES_MAX, THREADS_MAX, FoundProgram, ProgramReader
 from rtrun.probes.ring_buffer import PageLayout, read_events, read_head
@@ -32,10 +33,9 @@ _FORMATS_MAX = 500
 # probes do not rest. What goes beyond it is left out, and when that was is recorded.
 _HITS_MAX = 160_000
 _HITS_BYTES_MAX = 24 * 1024 * 1024
-# The same of the kernel's events, of an observation with a trace: a busy machine takes eight seconds and more for a
-# round with so many.
-_KERNEL_EVENTS_MAX = 1_000_000
-_KERNEL_BYTES_MAX = 128 * 1024 * 1024
+# The same of the kernel's events, of an observation with a trace: four seconds of the highest rate. They take 50 MiB.
+_KERNEL_EVENTS_MAX = 500_000
+_KERNEL_BYTES_MAX = 32 * 1024 * 1024
 # Of a round: others are joined with the last one.
 _GAPS_MAX = 1000
 _ENDED_MAX = 20_000
@@ -60,7 +60,7 @@ class Batch:
     Events are recorded since `begin_ns`, which is 0 where that is not known yet.
 
     `kernel` are the kernel's own events: their names have a slash, as sched/sched_switch. Their values are those of
-    their format, and `common_flags` and `common_preempt_count`; they are `RawValues`. `realtime_offset_ns` is how far
+    their format, and `common_flags` and `common_preempt_count`, decoded when asked for. `realtime_offset_ns` is how far
     CLOCK_REALTIME is ahead of CLOCK_MONOTONIC, None where the target does not show it. `programs` are those that are
     new or whose threads have changed; `ended` are pids. Times are of CLOCK_MONOTONIC.
     """
@@ -68,7 +68,7 @@ class Batch:
     begin_ns: int
     until_ns: int
     hits: tuple[Hit, ...]
-    kernel: tuple[Hit, ...]
+    kernel: KernelEvents
     gaps: tuple[Gap, ...]
     programs: tuple[FoundProgram, ...]
     ended: tuple[int, ...]
@@ -90,7 +90,8 @@ class _Source:
     format: EventFormat
     event: str
     convert: Callable[[Values], None] | None = None
-    is_kernel: bool = False
+    kind: int | None = None
+    """Its number among those of the kernel; None: it is none."""
 
 
 class _WaitingRoom:
@@ -144,7 +145,9 @@ class WatchReader:
         self._last_of_cpu: dict[int, int] = {}
         self._timers = TimerChecks()
         self._hits: list[Hit] = []
-        self._kernel: list[Hit] = []
+        self._kinds: list[EventKind] = []
+        """Of the kernel's events."""
+        self._kernel = WaitingEvents(self._kinds)
         self._gaps: list[Gap] = []
         self._programs = ProgramReader(origin)
         """What was listed since the last batch."""
@@ -291,7 +294,9 @@ class WatchReader:
             return
         # …/events/sched/sched_switch/format
         names = path.split("/")
-        self._sources[event.identifier] = _Source(event, "/".join(names[-3:-1])[:128], is_kernel=True)
+        name = "/".join(names[-3:-1])[:128]
+        self._sources[event.identifier] = _Source(event, name, kind=len(self._kinds))
+        self._kinds.append((name, event))
 
     def _read_page(self, page: bytes, layout: PageLayout, cpu: int) -> None:
         head = read_head(page, layout)
@@ -309,10 +314,8 @@ class WatchReader:
                 # Of an event that was switched on by somebody else.
                 continue
             tid = int.from_bytes(page[start + 4 : start + 8], "little")
-            if source.is_kernel:
-                # Its own bytes alone: a page may hold nothing else that is kept.
-                values_of = RawValues(source.format, page[start : start + size], 0, size)
-                self._take_kernel_event(source, at_ns, cpu, tid, values_of, size)
+            if source.kind is not None:
+                self._take_kernel_event(source, source.kind, at_ns, cpu, tid, page[start : start + size])
                 continue
             if not self._hits_room.take(len(self._hits), size):
                 self._leave_out(at_ns)
@@ -336,18 +339,18 @@ class WatchReader:
             self._left_out_ns = (at_ns, at_ns + 1)
         self._left_out_ns = (min(self._left_out_ns[0], at_ns), max(self._left_out_ns[1], at_ns + 1))
 
-    def _take_kernel_event(self, source: _Source, at_ns: int, cpu: int, tid: int, values: RawValues, size: int) -> None:
+    def _take_kernel_event(self, source: _Source, kind: int, at_ns: int, cpu: int, tid: int, data: bytes) -> None:
         if source.format.name == _PRINT:
-            text = str(values.get("buf", "")).strip()
+            text = str(source.format.values(data, 0, len(data)).get("buf", "")).strip()
             if text.startswith("rtrun "):
                 self._take_mark(at_ns, text.removeprefix("rtrun "))
             return
         if not self._is_traced:
             return
-        if not self._kernel_room.take(len(self._kernel), size):
+        if not self._kernel_room.take(len(self._kernel), len(data)):
             self._leave_out(at_ns)
             return
-        self._kernel.append(Hit(at_ns, cpu, self._pids.get(tid, 0), tid, source.event, values))
+        self._kernel.add(at_ns, cpu, self._pids.get(tid, 0), tid, kind, data)
 
     def _take_mark(self, at_ns: int, mark: str) -> None:
         word, _, rest = mark.partition(" ")
@@ -384,7 +387,7 @@ class WatchReader:
         rests = [gap for gap in self._gaps if gap.cause is GapCause.RESTED]
         silent = [(0, self.begin_ns), *((gap.from_ns, gap.until_ns) for gap in rests)]
         hits, self._hits = _cut(self._hits, until_ns, silent)
-        kernel, self._kernel = _cut(self._kernel, until_ns, silent)
+        kernel = self._kernel.cut(until_ns, silent)
         self._hits_room.keep(len(self._hits))
         self._kernel_room.keep(len(self._kernel))
         # The programs of a round are told after its pages.

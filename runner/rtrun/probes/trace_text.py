@@ -6,7 +6,7 @@ kernel does it in its own text; the functions that have a name in `symbols` are 
 
 import contextlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from hashlib import blake2b
 from os import urandom
@@ -32,11 +32,12 @@ _STATES = "SDTtXZPI"
 _SOFTIRQS = ("HI", "TIMER", "NET_TX", "NET_RX", "BLOCK", "IRQ_POLL", "TASKLET", "SCHED", "HRTIMER", "RCU")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 _SECRET = urandom(16)
+_NAMES_MAX = 20_000  # of threads in a trace
 _SYSTEM_CALL = re.compile(r"sys_(enter|exit)_(\w+)", re.ASCII)
 
 
-def trace_text(events: Sequence[Hit], gaps: Iterable[Gap], symbols: Mapping[int, str]) -> Iterator[str]:
-    """Yield a line for each event, in their order, each with its line feed.
+def trace_text(events: Iterable[Hit], gaps: Iterable[Gap], symbols: Mapping[int, str]) -> Iterator[str]:
+    """Yield a line for each event, in their order, each with its line feed. The events are gone through twice.
 
     Before the first one of each CPU after a gap is the line by which the kernel says that events are lost. What a
     target sent that is not as the format of its event says is left out.
@@ -64,7 +65,7 @@ def _names(events: Iterable[Hit]) -> dict[int, str]:
     """Names of threads, as their switches tell them."""
     names: dict[int, str] = {}
     for hit in events:
-        if hit.event == "sched/sched_switch":
+        if hit.event == "sched/sched_switch" and len(names) < _NAMES_MAX:
             with contextlib.suppress(KeyError, ValueError):
                 for side in ("prev", "next"):
                     names[int(hit.values[f"{side}_pid"])] = _CONTROL.sub("?", str(hit.values[f"{side}_comm"]))

@@ -16,6 +16,7 @@ from rtrun.kinds.output import Counts, Files, Indices, InEffect, Record, Thread,
 from rtrun.kinds.rate import Rate
 from rtrun.plan.suites import Value, suite
 from rtrun.results.columns import pieces
+from rtrun.results.texts import StoredText
 
 CLOCK = "CLOCK_MONOTONIC"
 GRAPH = "graph.json"
@@ -76,7 +77,7 @@ class TracedValue:
     limit_ns: int
     at_ns: int
     tid: int | None
-    text: bytes
+    text: StoredText
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -175,7 +176,7 @@ def _write_samples(path: Path, columns: Sequence[Int64s]) -> None:
 
 def _write_traces(folder: Path, output: str, stream: ObservedOutput) -> list[str]:
     """Write a file for each traced value, and return their names; those that share a trace name the first one's."""
-    written: dict[bytes, str] = {}
+    written: dict[StoredText, str] = {}
     names = []
     for one in stream.traced:
         name = f"{output}-trace-{one.index}.txt"
@@ -185,6 +186,8 @@ def _write_traces(folder: Path, output: str, stream: ObservedOutput) -> list[str
             f"at {seconds}.{rest_ns // 1000:06} s of {CLOCK}{'' if one.tid is None else f' by thread {one.tid}'}\n"
         ).encode()
         shared = written.setdefault(one.text, name)
-        (folder / name).write_bytes(head + (one.text if shared == name else f"# in {shared}\n".encode()))
+        with (folder / name).open("wb") as file:
+            file.write(head)
+            file.writelines(one.text.pieces() if shared == name else [f"# in {shared}\n".encode()])
         names.append(name)
     return names

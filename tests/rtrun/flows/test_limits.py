@@ -3,6 +3,7 @@
 import pytest
 from made_flows import gap, hit, node, program, publish, take
 
+from rtrun.causes.ftrace import CALLBACK_CHARACTERS_MAX
 from rtrun.flows import accumulator, matching, situation, topics
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.programs import NAME_CHARACTERS_MAX, label_of
@@ -59,7 +60,7 @@ def test_names_of_turns():
     observed = FlowAccumulator(begin_ns=0, on_turn=turns.append)
     observed.observe([node(1, "a")])
     observed.feed([hit(n, "callback_begin", callback=1, topic="/" + "y" * 60_000) for n in (1, 2)])
-    assert [len(turn.name) for turn in turns] == [NAME_CHARACTERS_MAX + len(" of /a")]
+    assert [len(turn.name) for turn in turns] == [CALLBACK_CHARACTERS_MAX]
 
 
 def test_messages_with_one_time_stamp():

@@ -82,6 +82,26 @@ def test_streams_are_the_same_from_the_disk(request, system):
         assert all(np.array_equal(column, other.columns[key]) for key, column in one.columns.items())
 
 
+def test_timers_are_the_same_from_the_disk(request):
+    """One that skips a period now and then, and a gap."""
+
+    def read():
+        observed = FlowAccumulator(begin_ns=0)
+        told = {"timer": 5, "period_ns": 10 * MS, "clock": "steady"}
+        numbers = [n for n in range(1, 300) if n % 14]
+        calls = [hit(n * 10 * MS + n, "timer_call", expected_ns=n * 10 * MS, **told) for n in numbers]
+        observed.feed([*calls, gap(1.2, 1.3)._replace(from_ns=1200 * MS, until_ns=1300 * MS)])
+        (stream,) = streams.streams(observed)
+        return stream
+
+    in_memory = read()
+    request.getfixturevalue("all_on_disk")
+    from_disk = read()
+    assert in_memory.counts == from_disk.counts and in_memory.counts["skipped"] == 20
+    assert in_memory.cuts.tolist() == from_disk.cuts.tolist() and in_memory.cuts.size == 1
+    assert all(np.array_equal(column, from_disk.columns[key]) for key, column in in_memory.columns.items())
+
+
 def fed(count):
     observed = FlowAccumulator(begin_ns=0)
     observed.observe([node(1, "talker"), node(2, "listener")])
@@ -150,3 +170,21 @@ def test_receptions_that_may_be_any_of_many_messages(monkeypatch):
         assert observed.topics.takers == taken
         most = max(most, taken)
     assert 400 < most <= 500
+
+
+def test_receptions_of_one_round_that_may_be_any_of_many_messages(monkeypatch):
+    """It is not waited for the end of the round."""
+    for module in (messages, topics):
+        monkeypatch.setattr(module, "TAKERS_MAX", 1000)
+    observed = FlowAccumulator(begin_ns=0)
+    seen = []
+    ambiguous = observed.topics.ambiguous
+    monkeypatch.setattr(
+        observed.topics, "ambiguous", lambda *told: (ambiguous(*told), seen.append(observed.topics.takers))
+    )
+    made = []
+    for n in range(1, 200):
+        made += [publish(n * MS + m, stamp=5) for m in range(50)]
+        made.append(hit(n * MS + 500, "take", pid=n, topic="/a", source_ns=5))
+    observed.feed(made)
+    assert 900 < max(seen) <= 1000 + 64
