@@ -139,13 +139,14 @@ def test_a_path_through_rclpy(here, distro, tmp_path, monkeypatch):
     for batch in batches:
         flows.feed([*(hit for hit in batch.hits if hit.pid in pids), *batch.gaps])
     (path,) = flows.paths.logs.values()
-    assert len(path.ends) + path.unknown == COUNT and path.unknown <= 1
+    assert len(path.rows) + path.unknown == COUNT and path.unknown <= 1
     ends = flows.topics.ends
     (taken,) = [end for key, end in ends.items() if key[:2] == ("subscriber", "/chatter")]
     published = ends["publisher", "/again", taken.label]
     # Each was published after it was taken, and before the next one was.
-    assert np.array_equal(np.searchsorted(taken.times, published.times), np.arange(1, COUNT + 1))
-    assert path.ends.tolist() == published.times.tolist()[path.unknown :]
+    taken_ns, published_ns = (end.times.read()[:, 0] for end in (taken, published))
+    assert np.array_equal(np.searchsorted(taken_ns, published_ns), np.arange(1, COUNT + 1))
+    assert path.rows.read()[:, 1].tolist() == published_ns.tolist()[path.unknown :]
 
 
 @pytest.mark.parametrize(
