@@ -57,7 +57,7 @@ def moved(data, number):
         bins[first] -= number
         bins[second] += number
         total = sum(int(value) * count for value, count in bins.items())
-        thread["avg"] = round(total / thread["cycles"], 2)
+        thread["avg"] = round(total / sum(bins.values()), 2)
 
 
 def groups(tmp_path):
