@@ -11,8 +11,9 @@
 #       PATTERN    for find_programs.sh beside this file
 #       EVENT      of the kernel, below `events` in tracefs, recorded as well; left out where the kernel does not have it
 #
-# Standard input: a line "p NAME PLACE ARGUMENT..." for each probe, "watch PID..." for the programs
-# whose threads are to be told, "go"; then a line now and then, as long as the probes are to stay.
+# Standard input: a line "p NAME SHA256 PATH:OFFSET ARGUMENT..." for each probe, "watch PID..." for the programs
+# whose threads are to be told, "go"; then a line now and then, as long as the probes are to stay. SHA256 is of the first
+# 64 MiB of the file at PATH.
 #
 # The names of trace and probes tell which process takes them off: "rtrun-observe-" and "rtrun_observe_", then its
 # namespace, pid and start time. What a killed one has left is removed at the next start; other names are left alone.
@@ -60,6 +61,17 @@ is_gone() {
     rest=${1#*_}
     [ "$(started "${rest%_*}")" != "${rest#*_}" ]
 }
+
+# Open a file as 5, where it is the one whose functions are known. The kernel is told that open file and no path: whoever
+# may give the path another meaning, as the owner of a program that is observed, would have a probe placed anywhere in any
+# file, and so change what programs of root do.
+open_library() {
+    [ "$opened" != "$*" ] || return 0
+    opened=
+    [ -f "$2" ] && command exec 5<"$2" || return 1
+    digest=$(head -c 67108864 <&5 | sha256sum)
+    [ "${digest%% *}" = "$1" ] && opened="$*"
+} 2>/dev/null
 
 # Take off what has a name. Of several tries: what still reads a page keeps its trace busy.
 remove() {
@@ -329,14 +341,19 @@ page_bytes=$((data_bytes + $(sed -n 's,.*field: *char data;.*offset:\([0-9]*\);.
 
 watched=
 is_told=
+opened=
 processes=$(echo /proc/[0-9]*)
-while read -r word one rest; do
+while read -r word one two three rest; do
     case $word in
     p)
+        if ! open_library "$two" "${three%:*}"; then
+            echo "refused $one its file was replaced while the program runs: restart the program"
+            continue
+        fi
         # The same library at another place: the kernel places what belongs to an event when that is switched on.
         { echo 0 >"$instance/events/$group/$one/enable"; } 2>/dev/null
         # Never by > alone: it would remove the probes of everybody.
-        if ! { printf '%s\n' "$word:$group/$one $rest" >>$tracing/uprobe_events; } 2>/dev/null; then
+        if ! { printf '%s\n' "$word:$group/$one /proc/self/fd/5:${three##*:} $rest" >>$tracing/uprobe_events; } 2>/dev/null; then
             reason=$(sed -n 's,.* trace_uprobe: error: ,,p' $tracing/error_log 2>/dev/null | tail -n 1)
             case $reason in
             # The same file, which another container sees by another name.
@@ -352,10 +369,11 @@ while read -r word one rest; do
         echo "placed $one"
         print_formats "$instance/events/$group/$one/format"
         ;;
-    watch) watched="$one $rest" ;;
+    watch) watched="$one $two $three $rest" ;;
     go) is_told=1 && break ;;
     esac
 done
+exec 5<&-
 [ -n "$is_told" ] || exit 3
 for event in $events; do
     if [ -e "$instance/events/$event/format" ]; then

@@ -36,7 +36,9 @@ while IFS=' ' read -r key pid range path; do
         case $file in *[[:space:]#\\]*) continue ;; esac
         [ "$file" -ef "$mapped" ] && break
     done
-    size=$(wc -c <"$file") && digest=$(sha256sum <"$file") && printf '%s\n' "$pid $range $size ${digest%% *} $file" &&
+    # Of one that is too large there is no need to know how much: anybody can make a sparse file of any size.
+    size=$(head -c 67108865 <"$file" | wc -c) && digest=$(head -c 67108864 <"$file" | sha256sum) &&
+        printf '%s\n' "$pid $range $size ${digest%% *} $file" &&
         done="$done $key "
 done 2>/dev/null
 exit 0
@@ -48,7 +50,7 @@ _LOOKED = re.compile(r"(\d{1,7}) ([0-9a-f]{1,16}-[0-9a-f]{1,16}) (\d{1,20}) ([0-
 class PlacedProbe:
     """A probe as it is to be placed: `name` is that of its event in the target's trace, `line` what tracefs is told.
 
-    The line is as watch_probes.sh takes it, without the group: ``p NAME PLACE ARGUMENT...``.
+    The line is as watch_probes.sh takes it, without the group: ``p NAME SHA256 PATH:OFFSET ARGUMENT...``.
     """
 
     name: str
@@ -141,7 +143,8 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
             if is_for is not True:
                 continue
             name = f"{probe.event}_{number}_{index}"
-            line = line_of(probe, symbols, name, file.path, library.without)
+            # Whoever places it sees by the checksum that the path still means this file.
+            line = line_of(probe, symbols, f"{name} {file.sha256}", file.path, library.without)
             if isinstance(line, NotProbed):
                 refused.append(RefusedProbe(path=mapped.path, event=probe.event, reason=line.reason))
                 continue
@@ -226,7 +229,7 @@ def _look(
 def _resolve(link: "Link", file: _LibraryFile) -> LibrarySymbols | NotProbed:
     """Find all functions that any probe may need in a file of the target, which is brought here once."""
     if file.size_bytes > FILE_BYTES_MAX:
-        return NotProbed(f"it has {file.size_bytes} bytes; a library has {FILE_BYTES_MAX} at most")
+        return NotProbed(f"it has more than {FILE_BYTES_MAX} bytes, as no library has")
 
     def download(folder: Path) -> None:
         path = PurePosixPath(file.path)

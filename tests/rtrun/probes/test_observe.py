@@ -199,7 +199,7 @@ def test_leftovers_of_the_dead_alone_are_removed(here, standin):
     groups = [f"rtrun_observe_{name}" for name in (living, dead, elsewhere)] + ["others"]
     with running(standin, 100, 10**9) as process:
         (found,) = find(here, process.pid)
-        place_of = place(here, [found], events=["take"]).probes[0].line.split()[2]
+        place_of = place(here, [found], events=["take"]).probes[0].line.split()[3]
         try:
             for name in instances:
                 (TRACING / "instances" / name).mkdir()
