@@ -9,32 +9,59 @@ For the target's own Python, 3.9 and later.
 
 import json
 import os
+import struct
 import sys
 import time
 from pathlib import Path
 
 NODE = "_rtrun_list"
 ITSELF = "itself"
+PAGES_BYTES = (4096, 16384, 65536)
 
 
 def become(pid: str) -> None:
     """Begin anew as the user of a process, with its environment: this Python has read nothing of that yet."""
-    process = Path("/proc", pid)
+    # Of this process alone, whoever gets its number next.
+    process = Path(f"/proc/self/fd/{os.open(f'/proc/{pid}', os.O_RDONLY | os.O_DIRECTORY)}")
+    before = user, group, groups = rights(process)
     words = [word.partition(b"=") for word in (process / "environ").read_bytes().split(b"\0")]
-    told = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines() if ":" in line)
     # The user may have no right to read the file.
     source = Path(__file__).read_text()
-    user, group = (int(told[key].split()[1]) for key in ("Uid", "Gid"))
     environment = {key: value for key, equals, value in words if equals and key}
     # A program in Python knows where its packages are, as those of a virtual environment.
     called = os.fsdecode((process / "cmdline").read_bytes().partition(b"\0")[0])
     is_python = called.startswith("/") and (process / "exe").readlink().name.startswith("python")
     python = called if is_python else sys.executable
+    if rights(process) != before:
+        raise PermissionError("it was given other rights meanwhile")
     if os.geteuid() == 0:
-        os.setgroups([int(each) for each in told["Groups"].split()])
+        os.setgroups(groups)
         os.setgid(group)
         os.setuid(user)
     os.execve(python, [python, "-B", "-c", source, ITSELF, sys.argv[2]], environment)
+
+
+def rights(process: Path) -> "tuple[int, int, list[int]]":
+    """The user of a process, its group and further groups.
+
+    Raises PermissionError where its rights are not those of its caller, who made its environment: as the caller likes
+    he would have a Python of another user import what he has written.
+    """
+    told = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines() if ":" in line)
+    users, groups = ({int(each) for each in told[key].split()} for key in ("Uid", "Gid"))
+    if len(users) > 1 or len(groups) > 1 or is_secure((process / "auxv").read_bytes()):
+        raise PermissionError("it was given other rights than its caller has (setuid, setgid, setcap)")
+    return users.pop(), groups.pop(), [int(each) for each in told["Groups"].split()]
+
+
+def is_secure(auxv: bytes) -> bool:
+    """Whether the kernel gave a program other rights than its caller has, or does not tell: getauxval(3)."""
+    page_bytes, secure = 6, 23
+    for words in ("QQ", "II"):  # of 64 and 32 bits
+        told: dict[int, int] = dict(struct.iter_unpack(words, auxv[: len(auxv) // 16 * 16]))
+        if told.get(page_bytes) in PAGES_BYTES and secure in told:
+            return told[secure] != 0
+    return True
 
 
 def graph(seconds: float) -> "list[dict[str, object]]":
