@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from conftest import seeing
-from rtfiles import ownership
+from rtfiles import atomic, cache, ownership
 from rtfiles.errors import UsageError
 from rtrun.targets.inspection import work_folder
 
@@ -142,6 +142,75 @@ def test_a_group_that_stands_in_two_lines(place, tmp_path, second):
     said = "can be written by the group 0"
     assert (said in runner.stderr) == bool(second)
     assert (said.replace("the ", "") in by_script(folder / "work", *with_groups, "sh")) == bool(second)
+
+
+@pytest.mark.parametrize("kind", ["kind", "another"])
+@pytest.mark.parametrize("left", ["lock", "lock of a leftover", "pipe", "second name"])
+def test_what_was_put_into_a_cache_while_others_could(place, monkeypatch, kind, left):
+    """The rights have been put right since: the folder is ours alone, and what is in it is not."""
+    monkeypatch.setenv("META_RT_TESTS_CACHE", str(place / "cache"))
+    precious = place / "shadow"
+    precious.write_text("root:secret")
+    (place / f"cache/{kind}").mkdir(parents=True)
+    key = "of-another" if left == "lock of a leftover" else "key"
+    lock = place / f"cache/{kind}/.{key}.lock"
+    if left == "second name":
+        lock.hardlink_to(precious)
+    elif left == "pipe":
+        os.mkfifo(lock)
+    else:
+        lock.symlink_to(precious)
+    if left == "lock of a leftover":
+        (place / f"cache/{kind}/.{key}.tmp-1").mkdir()
+    with contextlib.suppress(UsageError):
+        cache.entry("kind", "key", lambda folder: None)
+    assert precious.read_text() == "root:secret"
+
+
+@pytest.mark.parametrize("name", ["report.html", "folder/report.html", "archive/runs/x.parquet"])
+def test_a_link_of_another_user_leads_nowhere(place, name):
+    """Where everybody may add names, he was there first. What the kernel does against that (fs.protected_symlinks) is
+    not everywhere, and does not see a path that was resolved before."""
+    precious = place / "etc"
+    precious.mkdir()
+    (precious / "report.html").write_text("root:secret")
+    (precious / "x.parquet").write_text("root:secret")
+    shared = place / "shared"
+    shared.mkdir()
+    shared.chmod(0o1777)
+    link = shared / name
+    if name.startswith("archive/"):
+        link = shared / "archive/runs"
+        link.parent.mkdir()
+        os.chown(link.parent, OTHER, OTHER)
+    elif name.startswith("folder/"):
+        link = shared / "folder"
+    link.symlink_to(precious / "report.html" if link.name == "report.html" else precious)
+    os.lchown(link, OTHER, OTHER)
+    with pytest.raises(OSError, match=f"{link} is a link that belongs to nobody") as caught:
+        atomic.write_bytes(shared / name, b"new")
+    assert caught.value.filename == str(shared / name)
+    assert {path.read_text() for path in precious.iterdir()} == {"root:secret"}
+    # Root's own, and the user's, are followed.
+    os.lchown(link, 0, 0)
+    atomic.write_bytes(shared / name, b"new")
+    assert (precious / Path(name).name).read_text() == "new"
+
+
+def test_rights_are_given_to_the_file_that_was_written(place, monkeypatch):
+    """In a folder of his another user puts a link in the place of the file before it gets its rights."""
+    precious = place / "shadow"
+    precious.touch(mode=0o600)
+
+    def swap(_):
+        for temporary in place.glob(".out.*"):
+            temporary.unlink()
+            temporary.symlink_to(precious)
+
+    monkeypatch.setattr(os, "fsync", swap)
+    with contextlib.suppress(OSError):
+        atomic.write_bytes(place / "out", b"new")
+    assert precious.stat().st_mode & 0o777 == 0o600
 
 
 @contextlib.contextmanager

@@ -5,14 +5,16 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from rtfiles import ownership
 from rtfiles.errors import UsageError
 
 
 def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
     """Write a file under a temporary name in its folder, flush it to disk, rename it into place.
 
-    Where `path` is a link, the file that it names is written. What is no regular file, as /dev/null or a pipe, is
-    written to. The folder must exist. Raises OSError that names `path`, and leaves no temporary file behind then.
+    Where `path` is a link, the file that it names is written, unless the link belongs to another user. What is no
+    regular file, as /dev/null or a pipe, is written to. The folder must exist. Raises OSError that names `path`, and
+    leaves no temporary file behind then.
     """
     try:
         _write(path, data, mode)
@@ -22,7 +24,7 @@ def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    named = Path(os.path.realpath(path))
+    named = ownership.resolve(path)
     # Of a link in /proc/<pid>/fd, as /dev/stdout is one, the text may be the path of no file.
     if path.exists() and not named.is_file():
         with path.open("wb") as stream:
@@ -33,8 +35,9 @@ def _write(path: Path, data: bytes, mode: int) -> None:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
             stream.flush()
+            # By the name it may be another's by now.
+            os.fchmod(stream.fileno(), mode)
             os.fsync(stream.fileno())
-        Path(temporary).chmod(mode)
         Path(temporary).replace(named)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)

@@ -6,6 +6,7 @@ that others could change is refused (`ownership`).
 """
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import os
@@ -13,8 +14,10 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import IO
 
 from rtfiles import ownership
+from rtfiles.errors import UsageError
 
 
 def root() -> Path:
@@ -85,15 +88,31 @@ def locked(kind: str, name: str) -> Iterator[None]:
     """Hold a lock of this name among those of a kind; another process waits for it meanwhile."""
     folder = root() / kind
     ownership.make_folder(folder)
-    with (folder / f".{name}.lock").open("w") as lock:
+    with _open_lock(folder, name) as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
 
+def _open_lock(folder: Path, name: str) -> IO[bytes]:
+    """Open the file of a lock. It may have been put there while others could write to the folder: what is a link, or
+    another name of any file, keeps its contents.
+    """
+    path = folder / f".{name}.lock"
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        if error.errno != errno.ELOOP:
+            raise
+        raise UsageError(f"{path}: is a link, and no lock of ours: remove it") from error
+    return os.fdopen(handle, "rb+", buffering=0)
+
+
 def _remove_leftovers() -> None:
-    """Remove the folders of killed builds: those whose lock nobody holds."""
+    """Remove the folders of killed builds: those whose lock nobody holds. Where others could put some, they stay."""
     for leftover in root().glob("*/.*.tmp-*"):
         key = leftover.name.removeprefix(".").partition(".tmp-")[0]
-        with (leftover.parent / f".{key}.lock").open("w") as lock, contextlib.suppress(BlockingIOError):
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(leftover, ignore_errors=True)
+        with contextlib.suppress(BlockingIOError, UsageError):
+            ownership.make_folder(leftover.parent)
+            with _open_lock(leftover.parent, key) as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(leftover, ignore_errors=True)

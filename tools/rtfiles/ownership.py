@@ -12,6 +12,7 @@ root measure in a checkout of somebody else's, as in a container of a CI.
 """
 
 import contextlib
+import errno
 import grp
 import os
 import pwd
@@ -72,6 +73,33 @@ def make_folder(path: Path) -> bool:
     if end not in above_program and (why := _objection(end, os.lstat(end), trusted, is_last=True)):
         raise _unsafe(path, end, why)
     return is_new
+
+
+def resolve(path: Path) -> Path:
+    """The path without links, by which nobody else can make a writer overwrite a file of that writer's.
+
+    Raises OSError where a link on the way belongs to somebody who is not trusted, or there are too many.
+    """
+    trusted, links = _trusted(), 0
+    seen, waiting = "/", list(path.absolute().parts[1:])
+    while waiting:
+        place = os.path.join(seen, waiting.pop(0))  # noqa: PTH118
+        if place.endswith("/.."):
+            seen = os.path.dirname(seen)  # noqa: PTH120
+            continue
+        try:
+            target = os.readlink(place)  # noqa: PTH115 - to a folder of the text's own, with . and .. as they are
+        except OSError:  # it is no link, or not there
+            seen = place
+            continue
+        links += 1
+        if links > LINKS_MAX:
+            raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
+        if (owner := os.lstat(place).st_uid) not in trusted:
+            raise OSError(errno.EACCES, f"{place} is a link that belongs to {_name(owner)}", str(path))
+        waiting = [each for each in target.split("/") if each not in ("", ".")] + waiting
+        seen = "/" if target.startswith("/") else seen
+    return Path(seen)
 
 
 def _served_by_others(trusted: set[int]) -> set[str]:
