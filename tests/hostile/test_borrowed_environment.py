@@ -29,20 +29,18 @@ EVIL = "import os\nopen(os.environ['SAID'], 'a').write(f'{os.geteuid()} {os.gete
 
 
 @pytest.fixture
-def place(tmp_path):
-    for each in (tmp_path, *tmp_path.parents[:2]):
-        each.chmod(0o755)
-    (tmp_path / "his/rclpy").mkdir(parents=True)
-    (tmp_path / "his/rclpy/__init__.py").write_text(EVIL)
-    (tmp_path / "said").touch()
-    (tmp_path / "said").chmod(0o666)
-    (tmp_path / "gains.c").write_text(GAINS)
-    subprocess.run(["cc", "-o", tmp_path / "gains", tmp_path / "gains.c"], check=True)
-    return tmp_path
+def his_place(open_folder):
+    (open_folder / "his/rclpy").mkdir(parents=True)
+    (open_folder / "his/rclpy/__init__.py").write_text(EVIL)
+    (open_folder / "said").touch()
+    (open_folder / "said").chmod(0o666)
+    (open_folder / "gains.c").write_text(GAINS)
+    subprocess.run(["cc", "-o", open_folder / "gains", open_folder / "gains.c"], check=True)
+    return open_folder
 
 
-def started(place, argv, user):
-    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(place / "his"), "SAID": str(place / "said")}
+def started(his_place, argv, user):
+    environment = {"PATH": "/usr/bin:/bin", "PYTHONPATH": str(his_place / "his"), "SAID": str(his_place / "said")}
     become = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups"]
     process = subprocess.Popen([*become, *argv], env=environment, stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "ready\n"
@@ -58,13 +56,13 @@ def graph_of(pid):
 @pytest.mark.parametrize(
     ("owner", "mode"), [((0, 0), 0o4755), ((0, 0), 0o6755), ((OTHER, 0), 0o2755), ((2, 2), 0o4755)]
 )
-def test_nobody_gets_more_rights_than_who_made_the_environment(place, owner, mode, takes):
-    os.chown(place / "gains", *owner)
-    (place / "gains").chmod(mode)
-    process = started(place, [place / "gains", *takes], OTHER)
+def test_nobody_gets_more_rights_than_who_made_the_environment(his_place, owner, mode, takes):
+    os.chown(his_place / "gains", *owner)
+    (his_place / "gains").chmod(mode)
+    process = started(his_place, [his_place / "gains", *takes], OTHER)
     try:
         done = graph_of(process.pid)
-        assert (place / "said").read_text() == "", "what he wrote ran with rights that he does not have"
+        assert (his_place / "said").read_text() == "", "what he wrote ran with rights that he does not have"
         assert done.returncode == 3
         assert done.stderr.splitlines()[-1].endswith(
             "it was given other rights than its caller has (setuid, setgid, setcap)"
@@ -75,20 +73,20 @@ def test_nobody_gets_more_rights_than_who_made_the_environment(place, owner, mod
 
 
 @pytest.mark.parametrize("user", [0, OTHER])
-def test_a_program_is_asked_about_with_its_own_rights(place, user):
-    process = started(place, [place / "gains"], user)
+def test_a_program_is_asked_about_with_its_own_rights(his_place, user):
+    process = started(his_place, [his_place / "gains"], user)
     try:
         graph_of(process.pid)
-        assert (place / "said").read_text() == f"{user} {user}"
+        assert (his_place / "said").read_text() == f"{user} {user}"
     finally:
         process.kill()
         process.communicate()
 
 
-def test_a_program_that_becomes_another_while_it_is_looked_at(place):
+def test_a_program_that_becomes_another_while_it_is_looked_at(his_place):
     """What was read of it before is of the one, and what is read then is of the other."""
-    os.chown(place / "gains", 0, 0)
-    (place / "gains").chmod(0o4755)
+    os.chown(his_place / "gains", 0, 0)
+    (his_place / "gains").chmod(0o4755)
     # As much environment as the kernel takes: reading it takes the time in which the rights change.
     text = (
         "import os, time\nprint('ready', flush=True)\n"
@@ -96,17 +94,21 @@ def test_a_program_that_becomes_another_while_it_is_looked_at(place):
     )
     for wait_ms in range(0, 120, 6):
         filler = {f"F{number}": "x" * 100_000 for number in range(12)}
-        environment = {"PYTHONPATH": str(place / "his"), "SAID": str(place / "said"), "WAIT": str(wait_ms / 1000)}
+        environment = {
+            "PYTHONPATH": str(his_place / "his"),
+            "SAID": str(his_place / "said"),
+            "WAIT": str(wait_ms / 1000),
+        }
         process = subprocess.Popen(
             ["setpriv", f"--reuid={OTHER}", f"--regid={OTHER}", "--clear-groups", PYTHON, "-c", text],
-            env=environment | filler | {"NEXT": str(place / "gains")},
+            env=environment | filler | {"NEXT": str(his_place / "gains")},
             stdout=subprocess.PIPE,
             text=True,
         )
         assert process.stdout.readline() == "ready\n"
         try:
             graph_of(process.pid)
-            assert (place / "said").read_text().replace(f"{OTHER} {OTHER}", "") == ""
+            assert (his_place / "said").read_text().replace(f"{OTHER} {OTHER}", "") == ""
         finally:
             process.kill()
             process.communicate()

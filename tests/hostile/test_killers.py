@@ -4,19 +4,14 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 import uuid
-from contextlib import ExitStack
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import pytest
 
-from conftest import apart, serve, without_groups
+from hostile.programs import command_lines, start, wait_until
 from rtrun.execution import system
-from rtrun.plan.program import Program
-from rtrun.targets import deploy, groups, processes
-from rtrun.targets.config import Target
-from rtrun.targets.link import Link
+from rtrun.targets import groups, processes
 
 pytestmark = pytest.mark.sshd
 MAKE_BELIEVE = Path(__file__).with_name("make_believe.py")
@@ -30,54 +25,6 @@ if os.fork() or os.setsid() and os.fork():
 open(sys.argv[1], "w").write(str(os.getpid()))
 time.sleep(600)
 """
-
-
-@pytest.fixture
-def remarks():
-    return []
-
-
-@pytest.fixture(params=[apart, without_groups], ids=["group", "secret"])
-def place(request, tmp_path, remarks):
-    """A target with processes of its own; what is run on it, and the folder of a program."""
-    for name in ("sshd", "run"):
-        (tmp_path / name).mkdir()
-    with ExitStack() as stack:
-        server = stack.enter_context(serve(tmp_path / "sshd", request.param()))
-        stack.callback(server.process.kill)
-        target = Target(
-            name="board",
-            address=server.address,
-            suites=None,
-            work_dir=PurePosixPath(tmp_path / "target"),
-            setup=None,
-            master_port=11311,
-            reconnect_s=20,
-        )
-        link = stack.enter_context(Link(target, remarks.append))
-        yield link, PurePosixPath(tmp_path / "run"), request.param is apart
-
-
-def start(link, folder, text, name="p", deadline_s=600.0):
-    program = Program(name=name, argv=("sh", "-c", text), deadline_s=deadline_s)
-    processes.start(link, PurePosixPath(deploy.ON_TARGET), folder, program)
-    wait_until(lambda: Path(folder / f"{name}.stderr").exists())
-
-
-def wait_until(condition):
-    deadline = time.monotonic() + 200
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
-def command_lines(link):
-    """Of all processes, by number."""
-    each = r"""
-        for p in /proc/[0-9]*; do printf '%s %s\n' "${p#/proc/}" "$(tr '\0\n' '  ' <$p/cmdline)"; done 2>/dev/null
-    """
-    lines = (line.partition(" ") for line in link.check(["sh", "-c", each]).splitlines())
-    return {int(number): words.strip() for number, _, words in lines}
 
 
 def test_what_an_unprivileged_user_makes_up_ends_nothing(place, tmp_path):
@@ -198,7 +145,7 @@ def test_a_secret_is_in_no_command_line(tmp_path, shell):
     environment = os.environ | {"RTRUN_PROGRAM": secret}
     with subprocess.Popen(["sleep", "6001"], env=environment, start_new_session=True) as ours:
         (tmp_path / "p.known_by").write_text(f"RTRUN_PROGRAM={secret}\n")
-        command = f'{groups.FUNCTIONS}\ncd "$1"; know p; end_processes "TERM:20 KILL:20" list_processes'
+        command = f'{groups.FUNCTIONS}\ncd "$1"; know p; end_processes "TERM:20 KILL:20" this'
         words = [*shell.split(), "-c", command, "sh", str(tmp_path)]
         done = subprocess.run(words, env={"PATH": f"{tools}:{os.environ['PATH']}"}, capture_output=True, text=True)
         assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

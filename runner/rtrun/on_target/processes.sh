@@ -12,7 +12,10 @@
 #
 # Numbers of processes are used again: a process is PID:START here, with the ticks from the boot to its start.
 
-# Of a process: its state, parent, process group, session and start. Its name may hold anything, brackets and lines too:
+# Nothing is read from the memory of another user's process, as /proc/PID/environ and cmdline are: he can let the reader
+# wait for ever, for a file system (FUSE) of his own.
+
+# Of a process: its state, parent, process group, session, number of threads and start. Its name may hold anything, brackets and lines too:
 # the fields stand behind the last bracket of the last line (proc(5)).
 look() {
     fields=
@@ -20,14 +23,22 @@ look() {
     # shellcheck disable=SC2086 # without the name there are numbers and a letter
     set -- ${fields##*) }
     [ $# -ge 20 ] || return 1
-    state=$1 parent=$2 process_group=$3 session=$4 start=${20}
+    state=$1 parent=$2 process_group=$3 session=$4 threads=${18} start=${20}
 } 2>/dev/null
 
-# Whether PID:START lives.
+# Whether PID:START lives. The first thread of a process may end before the others.
 is_alive() {
     look "${1%:*}" && [ "$start" = "${1#*:}" ] || return 1
-    case $state in [ZX]) return 1 ;; esac
+    case $state in [ZX]) [ "$threads" -gt 1 ] ;; esac
 }
+
+# Whether a process is of root or of this user.
+is_trusted() {
+    while read -r key _ user _; do
+        [ "$key" != Uid: ] || break
+    done <"/proc/$1/status"
+    [ "$user" = 0 ] || [ "$user" = "${me:=$(id -u)}" ]
+} 2>/dev/null
 
 # Signal a process, PID:START.
 send() { is_alive "$2" && kill "-$1" "${2%:*}" 2>/dev/null; }
@@ -92,10 +103,10 @@ know() {
     esac
 } 2>/dev/null
 
-# Whether a process has the secret.
+# Whether a thread has the secret.
 has_secret() {
     # The kernel's own threads run no program.
-    [ -e "/proc/$1/exe" ] || return 1
+    is_trusted "$1" && [ -e "/proc/$1/exe" ] || return 1
     # A search program would have the secret in its command line, and that of busybox reads to the first variable only.
     case $(tr '\0' '\n' <"/proc/$1/environ") in *"$known_by"*) ;; *) return 1 ;; esac
 } 2>/dev/null
@@ -104,16 +115,34 @@ has_secret() {
 is_marked() {
     case $known_by in
     /*) is_in_group "$1" ;;
-    ?*) { [ "/proc/$1/fd/9" -ef "$lock" ] && look "$1" && [ "$session" = "$leader" ]; } || has_secret "$1" ;;
+    ?*)
+        look "$1" || return 1
+        thread=/proc/$1
+        # What belongs to the process is shown by the threads that live.
+        [ "$state" != Z ] || for thread in "/proc/$1/task"/*; do [ ! -e "$thread/exe" ] || break; done
+        { [ "$session" = "$leader" ] && [ "$thread/fd/9" -ef "$lock" ]; } || has_secret "${thread#/proc/}"
+        ;;
     *) return 1 ;;
     esac
 }
+
+# Print the numbers of the processes in the group, or below it. How a process names its group in /proc is no proof: others
+# may have a group of the same name.
+list_group() { find "$known_by" -name cgroup.procs -exec cat {} + 2>/dev/null; }
+
+is_in_group() { list_group | grep -qx "$1"; }
 
 # Print the processes of the program that `known_by` tells from all others, a line each. $spared and what it has started
 # are not among them, nor this shell.
 list_processes() {
     case $known_by in
-    /*) find "$known_by" -name cgroup.procs -exec cat {} + 2>/dev/null ;;
+    /*)
+        # One that was in the group after its start was read is the one that started then, if it still lives.
+        seen=" $(list_group | while read -r pid; do look "$pid" && echo "$pid:$start"; done | tr '\n' ' ')"
+        list_group | while read -r pid; do
+            case $seen in *" $pid:"*) first=${seen#*" $pid:"} && echo "$pid:${first%% *}" ;; esac
+        done
+        ;;
     RTRUN_PROGRAM=*)
         for process in /proc/[0-9]*; do echo "$process/status"; done |
             xargs grep -s '^PPid:' /dev/null | sed 's,^/proc/\([0-9]*\)/status:PPid:[[:blank:]]*,\1 ,' |
@@ -128,24 +157,17 @@ list_processes() {
                         for (pid in parent) if (!(pid in ours) && (parent[pid] in ours)) { ours[pid]; by[pid] = parent[pid]; found = 1 }
                     } while (found)
                     for (pid in ours) print pid, by[pid]
-                }'
+                }' | while read -r pid by; do
+            # It may have ended, and its number be another's, since. Only one that is a child still was one of that parent.
+            look "$pid" || continue
+            first=$start
+            if [ -n "$by" ]; then [ "$parent" = "$by" ]; else is_marked "$pid"; fi && echo "$pid:$first"
+        done
         ;;
-    esac | while read -r pid by; do
-        # It may have ended, and its number be another's, since. Only one that is a child still was one of that parent.
-        look "$pid" || continue
-        first=$start
-        if [ -n "$by" ]; then [ "$parent" = "$by" ]; else is_marked "$pid"; fi || continue
-        is_alive "$pid:$first" && ! is_spared "$pid" && echo "$pid:$first"
+    esac | while read -r each; do
+        is_alive "$each" && ! is_spared "${each%:*}" && echo "$each"
     done
 }
-
-# Whether a process is in the group, or below it. No path of a group has a newline.
-is_in_group() {
-    while IFS= read -r line; do
-        case $line/ in */"${known_by##*/}"/*) return 0 ;; esac
-    done <"/proc/$1/cgroup"
-    return 1
-} 2>/dev/null
 
 is_spared() {
     [ "$1" != $$ ] || return 0
@@ -168,23 +190,43 @@ listening() {
     done
 }
 
+# Let the processes of the group stand still (FROZEN), or go on (THAWED): those that fork and end faster than they are
+# listed would never be found. A group that this process is in is left alone, and so is one that knows no freezing.
+freeze() {
+    case $known_by in /*) ;; *) return 0 ;; esac
+    ! is_in_group "${spared:-$$}" || return 0
+    [ "$1" = FROZEN ] && frozen=1 || frozen=0
+    find "$known_by" -name cgroup.freeze -o -name freezer.state | while read -r file; do
+        case $file in */cgroup.freeze) echo $frozen >"$file" && continue ;; esac
+        echo "$1" >"$file"
+        # It is so when a look at it says so.
+        for _ in 1 2 3 4 5; do
+            read -r word <"$file" && [ "$word" != "$1" ] || break
+            sleep 0.1
+        done
+    done
+} 2>/dev/null
+
 # End the processes of programs, and print those that stay.
-#   end_processes STAGES LIST
-# STAGES are signals with the tenths of a second that each may take: "TERM:20 KILL:10"; LIST is what prints the processes.
+#   end_processes STAGES EACH
+# STAGES are signals with the tenths of a second that each may take: "TERM:20 KILL:10". EACH calls a function of this file
+# for each program: `this` for the one that is known.
 end_processes() {
     known=
     for stage in $1; do
         signal=${stage%:*} tries=${stage#*:} sent=
         while :; do
+            [ "$signal" != KILL ] || $2 freeze FROZEN
             # What is a program's once is so still when it has lost its parent.
-            for each in $($2); do case " $known " in *" $each "*) ;; *) known="$known $each" ;; esac; done
+            for each in $($2 list_processes); do case " $known " in *" $each "*) ;; *) known="$known $each" ;; esac; done
             keep_living
-            [ -n "$known" ] || return 0
             for each in $known; do
                 # Each signal once: a second Ctrl-C tells many programs to leave everything as it is.
                 case " $sent " in *" $each "*) ;; *) send "$signal" "$each" ;; esac
                 sent="$sent $each"
             done
+            [ "$signal" != KILL ] || $2 freeze THAWED
+            [ -n "$known" ] || break
             while [ -n "$known" ]; do
                 # shellcheck disable=SC2086 # numbers
                 [ "$signal" != INT ] || [ -n "$(listening $known)" ] || break 2
@@ -197,6 +239,8 @@ end_processes() {
     done
     for each in $known; do echo "$each"; done
 }
+
+this() { "$@"; }
 
 keep_living() {
     # shellcheck disable=SC2086
@@ -244,11 +288,16 @@ living() {
     below=$(cd "$1" 2>/dev/null && pwd -P) || return 0
     {
         LC_ALL=C ls -l /proc/[0-9]*/fd/9 2>/dev/null | sed -n 's,^.* -> ,,p'
-        grep -lF "$below/" /proc/[0-9]*/cmdline 2>/dev/null | while IFS= read -r call; do
-            [ -r "${call%cmdline}fd" ] ||
-                tr '\0' '\n' <"$call" | sed -n '/\/supervise[.]sh$/{n;N;s,\n,/,;s,$,.lock,p;q;}'
+        for process in /proc/[0-9]*; do
+            [ -r "$process/fd" ] || ! is_trusted "${process#/proc/}" || echo "$process/cmdline"
+        done | xargs grep -lsF "$below/" /dev/null | while IFS= read -r call; do
+            tr '\0' '\n' <"$call" | sed -n '/\/supervise[.]sh$/{n;N;s,\n,/,;s,$,.lock,p;q;}'
         done 2>/dev/null
     } | sort -u | while IFS= read -r lock; do
-        case $lock in "$below"/*.lock) [ -f "$lock" ] && { flock -n -s "$lock" true || echo "$lock"; } ;; esac
+        case $lock in
+        # Anybody may start a program of root (setuid) with such words.
+        */../*) ;;
+        "$below"/*.lock) [ -f "$lock" ] && { flock -n -s "$lock" true || echo "$lock"; } ;;
+        esac
     done 2>/dev/null
 }

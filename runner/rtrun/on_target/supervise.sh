@@ -80,18 +80,20 @@ watch() {
     # It is no part of what lives: of that 9 tells, and to the lock of all builds 7.
     exec 7>&- 8>&- 9>&-
     read -r spared _ </proc/self/stat
+    # Nor does it stand still when the group does.
+    case $known_by in /*) join "${known_by%/*}" ;; esac
     sleep "$deadline_s" &
     sleeper=$!
     { flock "$name.supervised" true; send_child KILL $sleeper "$spared"; } &
     if wait $sleeper; then
         # true, not ":": a shell exits where a special builtin cannot open its file, and the program would run on.
         true >"$name.expired"
-        end_processes "TERM:50 KILL:20" list_processes
+        end_processes "TERM:50 KILL:20" this
         wait
     elif ! [ -e "$name.exit" ]; then
-        end_processes "TERM:50 KILL:20" list_processes
+        end_processes "TERM:50 KILL:20" this
     fi >/dev/null
-    case $known_by in /*) join "${known_by%/*}" && remove_group ;; esac
+    remove_group
 } 2>/dev/null
 
 "${0%/*}/cgroups.sh" >"$name.cgroups" 2>/dev/null

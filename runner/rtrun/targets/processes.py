@@ -60,7 +60,7 @@ if [ "$*" = "*" ]; then
 fi
 names=$*
 lives() { [ -e "$name.lock" ] && ! flock -n "$name.lock" true; }
-list_all() { for name in $names; do know "$name" && list_processes; done; }
+all() { for name in $names; do know "$name" && "$@"; done; }
 # The lock is taken before the program starts: while it is taken, what it is known by is still to come.
 for name in $names; do
     for _ in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20; do
@@ -68,7 +68,7 @@ for name in $names; do
         sleep 0.2
     done
 done
-end_processes "$stages" list_all >/dev/null
+end_processes "$stages" all >/dev/null
 for name in $names; do
     know "$name"
     remove_group
