@@ -144,6 +144,28 @@ def test_a_group_that_stands_in_two_lines(place, tmp_path, second):
     assert (said.replace("the ", "") in by_script(folder / "work", *with_groups, "sh")) == bool(second)
 
 
+@pytest.mark.parametrize(
+    "put",
+    ["a\n-rw-r--r-- 1 0 0 0 x", "\n", "-R", " 1 0 0 0", ".hidden", "deep/er/x", "pipe", "link", "a\n\n/etc:\ntotal 0"],
+)
+def test_nothing_of_another_user_hides_in_the_work_folder(place, put):
+    """He put it there while he could; the names of files are lines, options and listings of other folders."""
+    work = place / "work"
+    (work / "runs").mkdir(parents=True)
+    (work / ".rt-tests").touch()
+    his = work / f"runs/{put}"
+    his.parent.mkdir(parents=True, exist_ok=True)
+    if put == "pipe":
+        os.mkfifo(his)
+    elif put == "link":
+        his.symlink_to("/etc/shadow")
+    else:
+        his.touch()
+    assert by_script(work, "sh") == ""
+    os.lchown(his, OTHER, OTHER)
+    assert by_script(work, "sh") == f"unsafe {work} holds something that belongs to user {OTHER}\n"
+
+
 @pytest.mark.parametrize("kind", ["kind", "another"])
 @pytest.mark.parametrize("left", ["lock", "lock of a leftover", "pipe", "second name"])
 def test_what_was_put_into_a_cache_while_others_could(place, monkeypatch, kind, left):
