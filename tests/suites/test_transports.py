@@ -4,6 +4,8 @@ import json
 import os
 import signal
 import struct
+import subprocess
+import sys
 import time
 import warnings
 from collections.abc import Iterator
@@ -263,6 +265,36 @@ def test_what_a_killed_publisher_left_is_replaced(bench: Bench, domain: int) -> 
     assert Path(f"/dev/shm/rt_tests-{domain}").exists()
     communicate(bench, "futex", "-r", "20")
     check_counts(bench, "ct_gnuplot_l20_fq1000_pl0", "futex")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user")
+@pytest.mark.parametrize("role", ["publisher", "subscriber"])
+def test_shared_memory_of_another_user_is_not_used(bench: Bench, domain: int, role: str) -> None:
+    """He holds its lock, and the sizes in it are of his choice: zero slots, which end whoever divides by them."""
+    memory = Path(f"/dev/shm/rt_tests-{domain}")
+    memory.write_bytes(bytes(1 << 16))
+    os.chown(memory, 65534, 65534)
+    memory.chmod(0o666)
+    holds = (
+        "import fcntl, struct, sys, time\nmemory = open(sys.argv[1], 'r+b')\n"
+        "fcntl.fcntl(memory, 37, struct.pack('hhqqi4x', fcntl.F_WRLCK, 0, 0, 1, 0))\nprint('holds', flush=True)\n"
+        "time.sleep(0.5)\nmemory.write(struct.pack('I', 1))\nmemory.flush()\ntime.sleep(600)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", holds, str(memory)], stdout=subprocess.PIPE, text=True) as other:
+        try:
+            assert other.stdout is not None and other.stdout.readline() == "holds\n"
+            if role == "subscriber":
+                receiver = bench.start("communication_tests_subscriber_futex", "-r", "10", "-f", "100")
+                time.sleep(2)
+                assert receiver.poll() is None, end(receiver)
+                sender = bench.start("communication_tests_publisher_futex", "-r", "10", "-f", "100")
+                assert (end(sender).status, end(receiver).status) == (0, 0)
+            else:
+                receivers, sent = communicate(bench, "futex", "-r", "10", "-f", "100")
+                assert (sent.status, sent.err, receivers[0].status) == (0, "", 0)
+        finally:
+            other.kill()
+            memory.unlink(missing_ok=True)
 
 
 @each

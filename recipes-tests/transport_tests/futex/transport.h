@@ -10,6 +10,7 @@
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
@@ -45,6 +46,15 @@ struct Transport {
   };
 
   static std::string memory() { return "/rt_tests-" + std::to_string(transport::domain()); }
+
+  // The memory, if it is there and this user's own: everybody may put one of this name there, and write into it what
+  // others would take for sizes.
+  static transport::File own(const std::string& memory) {
+    transport::File file(shm_open(memory.c_str(), O_RDWR | O_CLOEXEC, 0600));
+    struct stat state {};
+    if (!file || fstat(file.number(), &state) != 0 || state.st_uid != geteuid()) return transport::File();
+    return file;
+  }
 
   // Locks a byte for as long as the file is open. False if another program has it.
   static bool lock(const transport::File& file, off_t byte) {
@@ -102,7 +112,7 @@ struct Transport {
    public:
     Publisher(Context&, const rt_tests::Options& options) : frame_(options), memory_(memory()) {
       // What a killed publisher left is replaced: its subscribers keep what they have.
-      const transport::File left(shm_open(memory_.c_str(), O_RDWR | O_CLOEXEC, 0600));
+      const transport::File left = own(memory_);
       if (left && is_locked(left, publishers_byte)) {
         throw rt_tests::Failure("another publisher has the shared memory " + memory_);
       }
@@ -179,7 +189,7 @@ struct Transport {
 
    private:
     bool find_publisher() {
-      transport::File file(shm_open(memory_.c_str(), O_RDWR | O_CLOEXEC, 0600));
+      transport::File file = own(memory_);
       if (!file || !is_locked(file, publishers_byte)) return false;
       struct stat state {};
       transport::require(fstat(file.number(), &state) == 0, "read the size of the shared memory " + memory_);
