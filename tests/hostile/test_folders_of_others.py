@@ -11,7 +11,8 @@ import pytest
 
 from conftest import seeing
 from rtfiles import atomic, cache, ownership
-from rtfiles.errors import UsageError
+from rtfiles.errors import InfrastructureError, UsageError
+from rtrun.archive import store
 from rtrun.targets.inspection import work_folder
 
 OTHER = 65534
@@ -217,6 +218,21 @@ def test_a_link_of_another_user_leads_nowhere(place, name):
     os.lchown(link, 0, 0)
     atomic.write_bytes(shared / name, b"new")
     assert (precious / Path(name).name).read_text() == "new"
+
+
+def test_a_link_in_an_archive_leads_nowhere(place):
+    """Neither is a folder made behind it, nor a file removed."""
+    elsewhere = place / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "a.parquet").touch()
+    archive = store.make_archive(str(place / "archive"))
+    (place / "archive/runs").symlink_to(elsewhere)
+    os.lchown(place / "archive/runs", OTHER, OTHER)
+    with pytest.raises(InfrastructureError, match="is a link that belongs to nobody"):
+        store.write_file(archive, "runs/new/b.parquet", b"PAR1")
+    with pytest.raises(InfrastructureError, match="a file cannot be removed"):
+        store.remove_files(archive, store.find_files(archive, "runs"))
+    assert [path.name for path in elsewhere.rglob("*")] == ["a.parquet"]
 
 
 def test_rights_are_given_to_the_file_that_was_written(place, monkeypatch):

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
-from rtfiles import atomic
+from rtfiles import atomic, ownership
 from rtfiles.config import Config
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.untrusted import text
@@ -138,6 +138,8 @@ def write_file(store: Store, name: str, content: bytes) -> None:
     """Write a file whole or not at all. Raises InfrastructureError naming it."""
     path = store.locate(name)
     with _naming(store, f"{name} cannot be written"):
+        if store.is_local:
+            ownership.resolve(Path(path))  # no folder is made behind a link of another user
         store.file_system.makedirs(path.rpartition("/")[0], exist_ok=True)
         if store.is_local:
             atomic.write_bytes(Path(path), content)
@@ -185,7 +187,7 @@ def remove_files(store: Store, paths: Sequence[str]) -> None:
             store.file_system.rm(list(paths))  # an object store takes a thousand with one request
         elif store.is_local:
             for path in paths:
-                Path(path).unlink(missing_ok=True)
+                (ownership.resolve(Path(path).parent) / Path(path).name).unlink(missing_ok=True)
 
 
 def _check_utf8(path: str) -> None:
