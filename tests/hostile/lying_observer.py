@@ -162,4 +162,5 @@ def main() -> None:
         end_s += 1
 
 
-main()
+if __name__ == "__main__":
+    main()

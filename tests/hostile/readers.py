@@ -9,6 +9,7 @@ import json
 import shutil
 import subprocess
 import tempfile
+import time
 import xmlrpc.client
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -331,7 +332,7 @@ def _master(reply: bytes) -> list[ros_graph.GraphNode]:
     )
     link = SimpleNamespace(do=lambda step: step(connection))
     with contextlib.suppress(ConnectionRefusedError, TypeError, ValueError):
-        return list(ros_graph._ask_master(cast(Link, link), "http://board:11311", {1, 70}))
+        return list(ros_graph._ask_master(cast(Link, link), "http://board:11311", {1, 70}, time.monotonic() + 1))
     return []
 
 

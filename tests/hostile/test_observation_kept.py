@@ -20,7 +20,7 @@ from probes.standin import SCRIPTS, build, left, running, skip_without_trace, wa
 from proxy import proxy_to
 
 from rtrun.cli import main
-from rtrun.execution import observed_runs, run_execution
+from rtrun.execution import observation, observed_runs, run_execution
 from rtrun.flows.live import LiveFigures
 from rtrun.probes import session
 from rtrun.targets import deploy
@@ -302,7 +302,7 @@ def test_ctrl_c_while_it_is_kept(tmp_path, standin, monkeypatch, times, capfd):
 
     monkeypatch.setattr(observed_runs, "write_streams", interrupted)
     status, records = observe(tmp_path, "kind: local\n", standin)
-    assert status == 130 and run_execution._KEPT_FIRST in capfd.readouterr().err
+    assert status == 130 and observation.KEPT_FIRST in capfd.readouterr().err
     assert [records[name]["status"] for name in records if name == "001"] == ["ok"] * (times == 1)
     assert len(records) > 1 or not records
     assert not [*(tmp_path / "results").glob(".*")]

@@ -119,8 +119,9 @@ def close(
         place = work.folder
         if run.observation is not None or run.topology is not None:
             # Its streams are runs, too, and get their places together with it.
+            staged = stack.enter_context(run_directory.together(place.parent, place.name))
             stream_runs.put_aside(place)
-            place = stack.enter_context(run_directory.together(place.parent, place.name)) / place.name
+            place = staged / place.name
         partial = stack.enter_context(run_directory.filling(place))
         try:
             refused = _download(work, partial, attempt, end)

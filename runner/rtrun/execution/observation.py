@@ -1,10 +1,11 @@
 """Programs that run already are observed: probes are placed on them, and what these see is read while it lasts."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
 
+from rtfiles.interruption import deferred
 from rtfiles.output import counted
 from rtrun.causes.outliers import AFTER_NS
 from rtrun.execution.late_values import LateValueRecord
@@ -30,6 +31,7 @@ _FOR_PEOPLE = ("osnoise",)
 _KERNEL_EVENTS_PER_S = 80_000
 # A program that restarts is there again before.
 GONE_NS = 10 * 10**9
+KEPT_FIRST = "what was observed is kept first; Ctrl-C once more ends rtrun at once"
 # Seen for paths of topics, and for the causes of late values: they come several times for each message.
 OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
 
@@ -80,8 +82,9 @@ class ObservationResult:
     broken: str = ""
     """What ended it early against the user's will; empty: nothing did."""
     programs_left_out: int = 0
-    cut_off: KeyboardInterrupt | TargetRebooted | None = None
-    """What ended it, where nobody attends it: it ends more than this run, and is raised once that is kept."""
+    cut_off: BaseException | None = None
+    """What ends more than this run, and is raised once that is kept: a restart or Ctrl-C where nobody attends it, a
+    second Ctrl-C, a defect of ours."""
     late: LateValueRecord | None = None
     """Late values, with the kernel's traces of some; None: they were not asked for."""
 
@@ -132,7 +135,7 @@ def observe(
 
     What was started for it is observed no longer than it lives. Raises TargetError where there is nothing to observe,
     or the target cannot be observed; TargetRebooted and KeyboardInterrupt before something was seen. What was seen
-    before something ended it is returned.
+    before something ended it is returned, whatever that was.
     """
     if not watched.placement.probes:
         nothing = "; ".join(refusals(watched.placement.refused)) or "no program runs there that uses ROS"
@@ -141,7 +144,8 @@ def observe(
     flows: FlowAccumulator | None = None
     figures: LiveFigures | None = None
     began, finished, broken = Began(placed=(), refused=()), None, ""
-    cut_off: KeyboardInterrupt | TargetRebooted | None = None
+    cut_off: BaseException | None = None
+    result: ObservationResult | None = None
     late = LateValueRecord(trace, kernel_trace.read_symbols(link), folder) if trace else None
     start_time, gone_ns, until_ns = now().isoformat(), 0, 0
     stream = session.observe(
@@ -199,31 +203,51 @@ def observe(
         if flows is None:
             raise
         cut_off, broken = None if onlooker.is_attended else error, str(error)
+    except Exception as error:
+        if flows is None or figures is None:
+            raise
+        cut_off, broken = error, defect_in_words(error)
     finally:
-        stream.close()
+        if flows is None or figures is None:
+            stream.close()
     if flows is None or figures is None:
         raise TargetError(f"{link.target.address}: the probes were placed, but nothing was recorded")
-    flows.finish(until_ns)
-    asked_ns = round(plan.for_s * 1e9)
-    if late is not None:
-        figures.snapshot(flows.newest_ns)
-        late.cut(flows.newest_ns + AFTER_NS)
-    return ObservationResult(
-        flows=flows,
-        programs=roster.seen,
-        programs_left_out=roster.left_out,
-        began=began,
-        finished=finished,
-        start_time=start_time,
-        end_time=now().isoformat(),
-        coverage=coverage(
-            begin_ns=flows.begin_ns,
+    try:
+        with deferred(KEPT_FIRST):
+            # This waits until the probes are taken off.
+            stream.close()
+            flows.finish(until_ns)
+            asked_ns = round(plan.for_s * 1e9)
+            if late is not None:
+                figures.snapshot(flows.newest_ns)
+                late.cut(flows.newest_ns + AFTER_NS)
             # Nothing was missed after the last event of one that was read to its end.
-            until_ns=flows.begin_ns + asked_ns if finished and finished.is_clean and not broken else flows.until_ns,
-            asked_ns=asked_ns,
-            gaps=flows.gaps,
-        ),
-        broken=broken,
-        cut_off=cut_off,
-        late=late,
-    )
+            is_whole = finished and finished.is_clean and not broken
+            result = ObservationResult(
+                flows=flows,
+                programs=roster.seen,
+                programs_left_out=roster.left_out,
+                began=began,
+                finished=finished,
+                start_time=start_time,
+                end_time=now().isoformat(),
+                coverage=coverage(
+                    begin_ns=flows.begin_ns,
+                    until_ns=flows.begin_ns + asked_ns if is_whole else flows.until_ns,
+                    asked_ns=asked_ns,
+                    gaps=flows.gaps,
+                ),
+                broken=broken,
+                cut_off=cut_off,
+                late=late,
+            )
+    except KeyboardInterrupt as error:
+        if result is None:
+            raise
+        return replace(result, cut_off=error)
+    return result
+
+
+def defect_in_words(error: Exception) -> str:
+    """What ended something that is no trouble with a target: a defect of ours, or a machine that gives no more."""
+    return f"rtrun itself failed: {type(error).__name__}{f': {error}' if str(error) else ''}"[:300]

@@ -73,7 +73,8 @@ def write(
         result.late.streams if result.late else {},
         keeps_what_fits=True,
     )
-    room.unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        room.unlink()
     not_kept = written.not_kept
     if record.status is RunStatus.OK and (result.broken or not_kept):
         more = f"{counted(len(not_kept), 'stream')} not kept: {not_kept[0]}" if not_kept else ""
@@ -106,7 +107,7 @@ def write(
 
 def free_first_half(folder: Path) -> None:
     """Free room for what is written before the streams."""
-    with contextlib.suppress(FileNotFoundError):
+    with contextlib.suppress(OSError):
         os.truncate(run_directory.room_of(folder), _ROOM_BYTES // 2)
 
 
@@ -125,7 +126,8 @@ def room(folder: Path) -> Iterator[None]:
             raise InfrastructureError(f"{folder.parent}: cannot keep the results: {error.strerror}") from error
         yield
     finally:
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            path.unlink()
 
 
 def _programs(

@@ -22,9 +22,12 @@ from rtrun.probes.programs import FoundProgram
 from rtrun.targets.errors import TargetError
 from rtrun.targets.link import Link
 
+# Of all masters and domains together.
 NODES_MAX = 2000
+NAMES_MAX = 100_000
 # How long a node of ROS 2 looks: programs are found in some tenths of a second, on a slow board in more.
 LOOK_S = 3
+# For all of them.
 ASK_S = 60.0
 ROS1, ROS2 = "libroscpp", "librcl"
 _MASTER, _DOMAIN = "ROS_MASTER_URI", "ROS_DOMAIN_ID"
@@ -81,9 +84,13 @@ def read_graph(link: Link, scripts: PurePosixPath, found: Sequence[FoundProgram]
     told = _environment(link, [*pids[ROS1], *pids[ROS2]])
     nodes: list[GraphNode] = []
     remarks: list[str] = []
+    end_s = time.monotonic() + ASK_S
     for master in dict.fromkeys(told.get((pid, _MASTER), _DEFAULT_MASTER) for pid in pids[ROS1]):
+        if time.monotonic() > end_s:
+            remarks.append(f"the ROS master {master} was not asked: the others took {ASK_S:g} s")
+            break
         try:
-            nodes += _ask_master(link, master, {one.program.pid for one in found})
+            nodes = _with(nodes, _ask_master(link, master, {one.program.pid for one in found}, end_s))
         except ConnectionRefusedError:
             remarks.append(f"the ROS master {master} does not answer on the target: its topics are seen once observed")
         except (TypeError, ValueError, UsageError) as error:
@@ -91,13 +98,25 @@ def read_graph(link: Link, scripts: PurePosixPath, found: Sequence[FoundProgram]
     # One program of each domain.
     domains = {told.get((pid, _DOMAIN), "0"): pid for pid in reversed(pids[ROS2])}
     for domain, pid in domains.items():
+        if time.monotonic() > end_s:
+            remarks.append(f"the nodes of ROS 2 in domain {domain} are seen once observed: the others took {ASK_S:g} s")
+            break
         try:
-            nodes += _join(link, scripts, pid)
+            nodes = _with(nodes, _join(link, scripts, pid))
         except UsageError as error:
             remarks.append(f"the nodes of ROS 2 in domain {domain} are seen once observed: {error}")
     if found:
         remarks.append("timers and their periods are seen once observed: nobody can be asked about them")
     return RosGraph(nodes=tuple(map(_without_those_of_ros, nodes)), remarks=tuple(remarks))
+
+
+def _with(nodes: list[GraphNode], more: Iterable[GraphNode]) -> list[GraphNode]:
+    """Nodes, and those of one more master or domain. Raises UsageError where they are too many together."""
+    together = [*nodes, *more]
+    names = sum(len(node.publishes) + len(node.takes) + len(node.serves) for node in together)
+    if len(together) > NODES_MAX or names > NAMES_MAX:
+        raise UsageError(f"there are more than {NODES_MAX} nodes, or {NAMES_MAX} names of what they have")
+    return together
 
 
 def _has(found: FoundProgram, library: str) -> bool:
@@ -122,8 +141,10 @@ def _environment(link: Link, pids: Iterable[int]) -> dict[tuple[int, str], str]:
     return told
 
 
-def _ask_master(link: Link, uri: str, pids: set[int]) -> Iterator[GraphNode]:
+def _ask_master(link: Link, uri: str, pids: set[int], end_s: float) -> Iterator[GraphNode]:
     """The nodes of a ROS master on the target's loopback, with the pids of those that are observed.
+
+    Nodes that are not asked before `end_s`, of the monotonic clock, have none.
 
     Raises ConnectionRefusedError where none answers, ValueError or TypeError for what no master says.
     """
@@ -139,10 +160,11 @@ def _ask_master(link: Link, uri: str, pids: set[int]) -> Iterator[GraphNode]:
     for key, side in zip(("publishes", "takes", "serves"), sides, strict=True):
         for name, nodes in side:
             for node in nodes:
-                names.setdefault(str(node), {}).setdefault(key, []).append(str(name))
+                if not isinstance(node, str) or not isinstance(name, str):
+                    raise ValueError("it has names that are no texts")
+                names.setdefault(node, {}).setdefault(key, []).append(name)
     if len(names) > NODES_MAX:
         raise ValueError(f"it tells of more than {NODES_MAX} nodes")
-    end_s = time.monotonic() + ASK_S
     for node, of_node in names.items():
         pid = None
         try:

@@ -2,18 +2,19 @@
 
 import contextlib
 import secrets
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from rtfiles.errors import InfrastructureError
+from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.interruption import deferred
 from rtrun.execution import download, observation, observed_runs, resumption, system
 from rtrun.execution.closing import Clock, RunEnd, Work, close
-from rtrun.execution.observation import NOBODY, ObservationResult, Onlooker
+from rtrun.execution.observation import KEPT_FIRST, NOBODY, ObservationResult, Onlooker, defect_in_words
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
 from rtrun.execution.run_programs import programs_of
@@ -40,7 +41,6 @@ LISTING_S = 120.0
 _PUT = 'cat >"$1.new" && [ "$(wc -c <"$1.new")" -eq "$2" ] && mv "$1.new" "$1"'
 # Stands between the state of the target and the list of files.
 _FILES = "== files"
-_KEPT_FIRST = "what was observed is kept first; Ctrl-C once more ends rtrun at once"
 
 
 def must_give_up(state: RunState, error: BaseException) -> bool:
@@ -62,16 +62,16 @@ class _Aftermath:
     is_attended: bool = False
     troubles: list[str] = field(default_factory=list)
     """With the target."""
-    cut_off: KeyboardInterrupt | TargetRebooted | None = None
+    cut_off: BaseException | None = None
     """What ends more than this run: raised once it is kept."""
 
     def deferring(self) -> AbstractContextManager[None]:
         """Where something was observed, let the first Ctrl-C wait for the end of the context."""
-        return deferred(_KEPT_FIRST) if self.observed else contextlib.nullcontext()
+        return deferred(KEPT_FIRST) if self.observed else contextlib.nullcontext()
 
     @contextlib.contextmanager
     def keeping(self) -> Iterator[None]:
-        """Note trouble, or Ctrl-C, instead of raising it."""
+        """Note trouble, Ctrl-C or a defect of ours instead of raising it."""
         try:
             with self.deferring():
                 yield
@@ -86,6 +86,11 @@ class _Aftermath:
             # Who sits before it has seen that, and waits for nothing more.
             if isinstance(error, TargetRebooted) and not self.is_attended:
                 self.cut_off = self.cut_off or error
+        except Exception as error:
+            if self.observed is None:
+                raise
+            self.troubles.append(defect_in_words(error))
+            self.cut_off = self.cut_off or error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,13 +169,29 @@ def _measure(work: Work, life: RunLife, now: Clock, *, may_be_begun: bool) -> Ru
     with aftermath.keeping():
         end = _end_background(work, measured, not_started)
     with aftermath.deferring():
-        record = close(work, attempt, end, aftermath.observed, now, aftermath.troubles)
+        record = _close(work, attempt, end, aftermath, now)
         life.move(RunEvent.CLOSE, f"{record.status}: {record.reason}" if record.reason else record.status)
     with aftermath.keeping():
         processes.remove(work.link, remote)
     if aftermath.cut_off is not None:
         raise aftermath.cut_off
     return record
+
+
+def _close(work: Work, attempt: Attempt, end: RunEnd, aftermath: _Aftermath, now: Clock) -> RunRecord:
+    """Close it. What was observed and cannot be kept where it was to be is kept in a new folder for temporary files."""
+    try:
+        return close(work, attempt, end, aftermath.observed, now, aftermath.troubles)
+    except (UsageError, InfrastructureError) as error:
+        if aftermath.observed is None:
+            raise
+        try:
+            folder = Path(tempfile.mkdtemp(prefix="rtrun-")) / work.folder.name
+            record = close(replace(work, folder=folder), attempt, end, aftermath.observed, now, aftermath.troubles)
+        except (UsageError, InfrastructureError, OSError):
+            raise error from None
+        aftermath.cut_off = aftermath.cut_off or InfrastructureError(f"{error}; it is kept in {folder.parent} instead")
+        return record
 
 
 def _resume(work: Work, life: RunLife) -> Attempt | None:
@@ -338,7 +359,8 @@ def _observe(work: Work, life: RunLife, not_started: str | None, now: Clock) -> 
     with aftermath.keeping():
         if work.starts_system:
             exits = [system.end(link, work.remote)]
-    life.move(RunEvent.END)
+    with aftermath.keeping():
+        life.move(RunEvent.END)
     return _Measured(exits=exits, failure=failure, aftermath=aftermath)
 
 

@@ -16,6 +16,7 @@ from rtfiles.quantities import time
 from rtrun.analysis.histogram import Int64s
 from rtrun.execution import clock_record
 from rtrun.execution.late_values import LateValue, LateValues
+from rtrun.execution.observation import defect_in_words
 from rtrun.flows.values import Stream, typical_step
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.output import Uname
@@ -84,19 +85,23 @@ def write_streams(
     """Write a run for each stream beside `folder`, and one that failed for each deadline of what was not seen.
 
     `late` has the late values of each stream by its source. Raises InfrastructureError where they cannot be written,
-    unless it `keeps_what_fits`: what was observed cannot be measured again.
+    unless it `keeps_what_fits`: what was observed cannot be measured again, and a defect of ours in one stream is no
+    reason to lose the others.
     """
     names: set[str] = set()
     not_kept: list[str] = []
     left_out: list[str] = []
     outputs: list[ObservedOutput] = []
     without_value: list[tuple[Stream, str]] = []
+    noted = not_kept if keeps_what_fits else None
     for stream in streams:
         if stream.trouble:
-            with _noting(not_kept if keeps_what_fits else None, _in_words(stream)):
+            with _noting(noted, _in_words(stream)):
                 raise InfrastructureError(stream.trouble)
             continue
-        output = _output(stream, facts.parameters, late.get(stream.source) or LateValues())
+        output = None
+        with _noting(noted, _in_words(stream)):
+            output = _output(stream, facts.parameters, late.get(stream.source) or LateValues())
         remarks = stream.remarks or (() if output is not None else ("too few calls to be measured",))
         left_out += (f"{_in_words(stream)}: {remark}" for remark in remarks)
         if output is None:
@@ -109,7 +114,7 @@ def write_streams(
             left_out.append(f"{_in_words(stream)}: {_OPEN[stream.kind].format(time(stream.open_ns))}")
         # Its values are in its run now, and all together may be more than the memory holds.
         outputs.append(replace(output, columns={}, traced=()))
-        with _noting(not_kept if keeps_what_fits else None, _in_words(stream)):
+        with _noting(noted, _in_words(stream)):
             _write_run(_beside(folder, output, facts.parameters, names), facts, output)
     unseen: list[str] = []
     for deadline in facts.deadlines:
@@ -124,7 +129,7 @@ def write_streams(
                 asked=0,
                 measured=0,
             )
-            with _noting(not_kept if keeps_what_fits else None, deadline.name):
+            with _noting(noted, deadline.name):
                 _write_run(_beside(folder, nothing, facts.parameters, names), facts, nothing, reason=reason)
     return WrittenStreams(left_out=tuple(left_out), not_kept=tuple(not_kept), unseen=tuple(unseen))
 
@@ -138,6 +143,10 @@ def _noting(not_kept: list[str] | None, name: str) -> Iterator[None]:
         if not_kept is None:
             raise
         not_kept.append(f"{name}: {error}")
+    except Exception as error:
+        if not_kept is None:
+            raise
+        not_kept.append(f"{name}: {defect_in_words(error)}")
 
 
 def _in_words(stream: Stream) -> str:
@@ -204,7 +213,8 @@ def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> Ob
         missing=lost,
         duplicate=stream.counts.get("duplicate", 0),
         out_of_order=stream.counts.get("out_of_order", 0),
-        rate_hz=(rows - 1) * 1e9 / passed_ns if rows > 1 and passed_ns > 0 else None,
+        # Of what came more often than once in a nanosecond the times say nothing.
+        rate_hz=(rows - 1) * 1e9 / passed_ns if rows > 1 and rows - 1 <= passed_ns else None,
         above_limit=late.above_limit,
         limit_ns=late.limit_ns,
         traced=tuple(_traced(stream, late.kept)),

@@ -84,12 +84,15 @@ class FlowAccumulator:
         """
         handlers, thread_of, situation, turns = self._handlers, self._programs.thread, self.situation, self.turns
         topics = self.topics
+        is_late = False
         for item in sorted(items, key=itemgetter(0)):
             if isinstance(item, Gap):
                 self._cut(item)
                 continue
             at_ns = item.at_ns
-            if at_ns < self.newest_ns:
+            if at_ns < self.newest_ns and not is_late:
+                # The others that come too late are within the gap that the first of them makes.
+                is_late = True
                 self._cut(Gap(at_ns, self.newest_ns, "hits came out of order", GapCause.EVENTS_LOST))
             if at_ns < situation.blind_until_ns:
                 self.in_gaps += 1

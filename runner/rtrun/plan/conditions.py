@@ -187,10 +187,14 @@ def background(
 def cpu_set(text: str) -> set[int]:
     """The CPUs in a list as the kernel writes it, ``0-1,4``. Raises ValueError."""
     cpus: set[int] = set()
+    listed = 0
     for part in text.split(","):
         first, dash, last = part.partition("-")
         low = whole_number(first, lowest=0, highest=CPUS_MAX - 1)
         high = whole_number(last, lowest=low, highest=CPUS_MAX - 1) if dash else low
+        listed += high + 1 - low
+        if listed > CPUS_MAX:
+            raise ValueError(f"a list of more than {CPUS_MAX} CPUs")
         cpus |= set(range(low, high + 1))
     return cpus
 

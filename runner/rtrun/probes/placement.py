@@ -2,13 +2,14 @@
 
 import hashlib
 import re
+import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from rtfiles import cache
-from rtfiles.untrusted import read_bytes
+from rtfiles.untrusted import MIB, read_bytes
 from rtrun.probes.libraries.description import Argument, Probe, libraries
 from rtrun.probes.programs import FoundProgram, MappedLibrary
 from rtrun.probes.symbols import FILE_BYTES_MAX, LibrarySymbols, NotProbed, read_symbols
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
     from rtrun.targets.link import Link
 
 KIND = "probed-libraries"
+# Different files of all programs together; more get no probes. They have so many bytes, and are brought here in so long
+# at most. A robot has a handful, and one more of each in each of its containers.
+FILES_MAX = 256
+FILES_BYTES_MAX = 512 * MIB
+FETCH_S = 600.0
 # A board's checksums of some MiB from an SD card.
 LOOK_S = 120.0
 # Since 5.3 several probes may be one event, and the kernel knows a second probe at the same place of the same file.
@@ -108,9 +114,9 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
     users: dict[tuple[str, int], list[tuple[FoundProgram, MappedLibrary]]] = {}
     for program, each in mapping:
         users.setdefault((each.device, each.inode), []).append((program, each))
-    release, files = _look(link, mapping)
+    release, files = _look(link, [pair for each in list(users.values())[:FILES_MAX] for pair in each])
     is_shared = release >= _SHARED_SINCE
-    resolved = {file.sha256: _resolve(link, file) for file in files.values()}
+    resolved = _resolve_all(link, {file.sha256: file for file in files.values()}.values())
 
     def symbols_of(each: MappedLibrary) -> LibrarySymbols | NotProbed:
         if each.is_deleted:
@@ -123,9 +129,14 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
     probes: list[PlacedProbe] = []
     refused: list[RefusedProbe] = []
     numbers: dict[str, int] = {}
-    for key, of_file in users.items():
+    left_out: dict[str, RefusedProbe] = {}
+    for number_of_file, (key, of_file) in enumerate(users.items()):
         # By one of its names it may be deleted.
         mapped = next((each for _, each in of_file if not each.is_deleted), of_file[0][1])
+        if number_of_file >= FILES_MAX:
+            reason = f"probes are placed in {FILES_MAX} different files at most"
+            left_out.setdefault(mapped.library, RefusedProbe(path=mapped.path, event="", reason=reason))
+            continue
         symbols = symbols_of(mapped)
         besides = [{each.library: symbols_of(each) for each in program.mapped} for program, _ in of_file]
         if isinstance(symbols, NotProbed):
@@ -158,7 +169,7 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
                     path=mapped.path,
                 )
             )
-    return Placement(probes=tuple(probes), refused=tuple(refused))
+    return Placement(probes=tuple(probes), refused=(*refused, *left_out.values()))
 
 
 def _is_for_any(probe: Probe, besides: Sequence[Mapping[str, LibrarySymbols | NotProbed]]) -> bool | NotProbed:
@@ -224,6 +235,20 @@ def _look(
             raise TargetError(f"{link.target.address}: asked about {each.path}, it answers about {path[:200]!r}")
         files[each.device, each.inode] = _LibraryFile(size_bytes=size_bytes, sha256=match[4], path=path)
     return release, files
+
+
+def _resolve_all(link: "Link", files: Collection[_LibraryFile]) -> dict[str, LibrarySymbols | NotProbed]:
+    """The functions of each file, by its SHA-256."""
+    resolved: dict[str, LibrarySymbols | NotProbed] = {}
+    size_bytes, end_s = 0, time.monotonic() + FETCH_S
+    for file in files:
+        size_bytes += min(file.size_bytes, FILE_BYTES_MAX)
+        if size_bytes > FILES_BYTES_MAX or time.monotonic() > end_s:
+            limit = f"{FILES_BYTES_MAX // MIB} MiB in {FETCH_S:g} s"
+            resolved[file.sha256] = NotProbed(f"the libraries before it took the room or time there is: {limit}")
+        else:
+            resolved[file.sha256] = _resolve(link, file)
+    return resolved
 
 
 def _resolve(link: "Link", file: _LibraryFile) -> LibrarySymbols | NotProbed:

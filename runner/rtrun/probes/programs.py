@@ -9,8 +9,8 @@ from sys import getsizeof
 from typing import TYPE_CHECKING
 
 from rtfiles.output import counted
-from rtfiles.untrusted import INT64_MAX, MIB, whole_number
-from rtrun.plan.limits import CPUS_MAX, PID_MAX, RT_PRIORITY_MAX
+from rtfiles.untrusted import MIB, whole_number
+from rtrun.plan.limits import COUNT_MAX, CPUS_MAX, PID_MAX, RT_PRIORITY_MAX
 from rtrun.probes.hits import ObservedProgram, ProgramThread
 from rtrun.probes.libraries.description import libraries
 from rtrun.targets.errors import TargetError
@@ -41,7 +41,7 @@ _STAT = re.compile(r"^(\d{1,7}) \((.{0,256}?)\) [A-Za-z]((?: -?\d{1,20}){38,80})
 _MAPS = re.compile(r"([0-9a-f]{1,16}-[0-9a-f]{1,16}) ([0-9a-f]{1,8}:[0-9a-f]{1,8}) (\d{1,20}) (/.{1,16384})", re.ASCII)
 _CPUS_CHARACTERS_MAX = 65536
 # Numbers take more than the sets that they are in, unless these share them.
-_EVERY_CPU = tuple(range(CPUS_MAX + 1))
+_EVERY_CPU = tuple(range(CPUS_MAX))
 _DELETED = " (deleted)"
 LINE_BYTES_MAX = 64 * 1024
 CUT = "…"
@@ -312,7 +312,7 @@ def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int,
         start_ticks=start_ticks,
         name=name,
         argv=tuple(arguments),
-        locked_bytes=whole_number(locked, lowest=0, highest=INT64_MAX // 1024) * 1024,
+        locked_bytes=whole_number(locked, lowest=0, highest=COUNT_MAX // 1024) * 1024,
         libraries=tuple(mapped),
         threads=tuple(threads),
     )
@@ -337,12 +337,15 @@ def _thread(match: re.Match[str], cpus: dict[int, tuple[int, ...]]) -> tuple[Pro
 def _cpus(ranges: str) -> tuple[int, ...]:
     if len(ranges) > _CPUS_CHARACTERS_MAX:
         raise ValueError(f"a list of CPUs of {len(ranges)} characters")
-    cpus: set[int] = set()
-    for each in ranges.split(",")[:CPUS_MAX]:
+    cpus: list[int] = []
+    # In their order, as the kernel prints them: none may stand twice.
+    lowest = 0
+    for each in ranges.split(","):
         first, _, last = each.partition("-")
-        begin = whole_number(first, lowest=0, highest=CPUS_MAX)
-        cpus.update(range(begin, whole_number(last or first, lowest=begin, highest=CPUS_MAX) + 1))
-    return tuple(_EVERY_CPU[cpu] for cpu in sorted(cpus))
+        begin = whole_number(first, lowest=lowest, highest=CPUS_MAX - 1)
+        lowest = whole_number(last or first, lowest=begin, highest=CPUS_MAX - 1) + 1
+        cpus += _EVERY_CPU[begin:lowest]
+    return tuple(cpus)
 
 
 def _mapped(line: str) -> MappedLibrary | None:

@@ -40,6 +40,8 @@ SILENT = 4  # the exit status then
 # there was stopped or killed. To take the probes off it waits for its last events, and for who reads them.
 QUIET_S = 40.0
 TAKE_OFF_S = 2.0 * SILENCE_S
+# What has come and could not be read so long after the end is not read any more.
+LATE_S = 300.0
 # Pieces of up to 2 MiB that arrived and were not taken yet: the target waits then.
 _PIECES_MAX = 8
 
@@ -237,6 +239,8 @@ class _Watching:
                     raise piece
                 broken, piece = str(piece), None
             try:
+                if isinstance(piece, bytes) and time.monotonic() > self._end_s + LATE_S:
+                    raise TargetError(f"what came could not be read within {LATE_S:g} s after the end")
                 for each in self._read(reader, piece):
                     if isinstance(each, Batch):
                         gap_ns, seen_ns = seen_ns, max(seen_ns, each.until_ns)

@@ -134,6 +134,7 @@ class WatchReader:
         """Since when events are recorded; 0 before that is known."""
         self._placed: dict[str, None] = {}
         self._refused: dict[str, str] = {}
+        self._is_ready = False
         self._last_ns = self._until_ns = 0
         self._probes, self._origin = probes, origin
         self._pids = dict(pids)
@@ -245,7 +246,7 @@ class WatchReader:
         if word in ("header_page", "format", _PROGRAMS):
             self._block = (line, bytearray())
         elif word == "pages" and self._layout is not None:
-            self._cpu = whole_number(rest, lowest=0, highest=CPUS_MAX)
+            self._cpu = whole_number(rest, lowest=0, highest=CPUS_MAX - 1)
         elif word == "round":
             if self._round is not None:
                 yield self._batch(self._round)
@@ -265,7 +266,8 @@ class WatchReader:
         elif word == "refused" and rest.partition(" ")[0] in self._probes:
             name, _, reason = rest.partition(" ")
             self._refused[name] = reason[:300]
-        elif line == "ready":
+        elif line == "ready" and not self._is_ready:
+            self._is_ready = True
             yield Ready(placed=tuple(self._placed), refused=dict(self._refused))
         elif line == "rounds end":
             self.is_read_to_end = True

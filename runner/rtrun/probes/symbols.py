@@ -4,18 +4,15 @@ A probe is placed at an offset of the file. Where that is not certain there is a
 place makes programs compute wrongly.
 """
 
-import io
 import struct
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from elftools.elf.elffile import ELFFile
-from elftools.elf.sections import SymbolTableSection
-
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import read_bytes
 from rtrun.probes.libraries.description import Architecture
+from rtrun.targets.inspection import architecture
 
 FILE_BYTES_MAX = 64 * 1024 * 1024
 # libroscpp has 5000.
@@ -23,17 +20,19 @@ SYMBOLS_MAX = 200_000
 # The parts of a file that are loaded, and those that a linker knows: of libraries there are 10 and 40.
 SEGMENTS_MAX = 256
 SECTIONS_MAX = 4096
-# A symbol in the table of dynamic symbols, by the bits of the file, and which of its numbers are name, value, type and
-# section.
+# elf(5), of little-endian files by their bits: each structure, and which of its numbers are read. Of the header that is
+# where segments and sections begin, and size and number of each; of a segment type, flags, offset, address and size; of
+# a section type, offset, size and the section that it is linked to; of a symbol name, value, type and section.
+_BITS = {1: 32, 2: 64}
+_HEADER = {64: struct.Struct("<18xH12xQQ6xHHHH2x"), 32: struct.Struct("<18xH8xII6xHHHH2x")}
+_SEGMENT = {64: (struct.Struct("<IIQQ8xQ16x"), (0, 1, 2, 3, 4)), 32: (struct.Struct("<III4xI4xI4x"), (0, 4, 1, 2, 3))}
+_SECTION = {64: struct.Struct("<4xI16xQQI20x"), 32: struct.Struct("<4xI8xIII12x")}
 _SYMBOL = {64: (struct.Struct("<IBBHQQ"), (0, 4, 1, 3)), 32: (struct.Struct("<IIIBBH"), (0, 1, 3, 5))}
+_LOADED, _DYNAMIC_SYMBOLS = 1, 11
 _FUNCTION = 2
 _UNDEFINED = 0
 # The machine of ELF's header, its class in bits.
-_ARCHITECTURES: dict[tuple[str, int], Architecture] = {
-    ("EM_X86_64", 64): "x86_64",
-    ("EM_AARCH64", 64): "aarch64",
-    ("EM_ARM", 32): "armv7",
-}
+_ARCHITECTURES: dict[tuple[int, int], Architecture] = {(62, 64): "x86_64", (183, 64): "aarch64", (40, 32): "armv7"}
 _EXECUTABLE = 1
 # What functions begin with on x86 where jumps are guarded, as in Ubuntu: it does nothing. The kernel has it executed by
 # a single step, which takes 9 us on a virtual machine; a push, which mostly follows, it does itself, in 0.7 us.
@@ -65,51 +64,65 @@ def read_symbols(path: Path, names: Collection[str]) -> LibrarySymbols | NotProb
     except UsageError as error:
         return NotProbed(str(error))
     try:
-        return _read(ELFFile(io.BytesIO(data)), data, names)
-    except Exception as error:
-        # pyelftools raises what Python raises of a damaged file: its own, of struct, of lists, of memory.
-        return NotProbed(f"no library that can be read: {type(error).__name__}: {str(error)[:120]}")
+        return _read(data, names)
+    except (ValueError, OverflowError, struct.error) as error:
+        return NotProbed(f"no library that can be read: {str(error)[:120]}")
 
 
-def _read(file: ELFFile, data: bytes, names: Collection[str]) -> LibrarySymbols | NotProbed:
-    machine, bits = str(file.header["e_machine"]), file.elfclass
-    architecture = _ARCHITECTURES.get((machine, bits)) if file.little_endian else None
-    if architecture is None:
-        order = "little-endian" if file.little_endian else "big-endian"
+def _read(data: bytes, names: Collection[str]) -> LibrarySymbols | NotProbed:
+    """Read it by offsets alone. Raises struct.error or OverflowError where one is beyond its end, ValueError."""
+    if len(data) < architecture.HEADER_BYTES or not data.startswith(b"\x7fELF") or data[4] not in _BITS:
+        raise ValueError("it does not begin as a program or library")
+    bits = _BITS[data[4]]
+    machine = int.from_bytes(data[18:20], "little")
+    made_for = _ARCHITECTURES.get((machine, bits)) if data[5] == 1 else None
+    if made_for is None:
         known = ", ".join(_ARCHITECTURES.values())
-        return NotProbed(f"its architecture is {machine}, {bits} bits, {order}; probes are known for {known}")
-    if file.num_segments() > SEGMENTS_MAX or file.num_sections() > SECTIONS_MAX:
-        return NotProbed(f"it claims {file.num_segments()} segments and {file.num_sections()} sections")
-    segments = [
-        (each["p_vaddr"], each["p_offset"], each["p_filesz"])
-        for each in file.iter_segments("PT_LOAD")
-        if each["p_flags"] & _EXECUTABLE
+        return NotProbed(f"its architecture is {architecture.name(data)}; probes are known for {known}")
+    _, segments_at, sections_at, segment_size, segment_count, section_size, section_count = _HEADER[bits].unpack_from(
+        data
+    )
+    if segment_count > SEGMENTS_MAX or section_count > SECTIONS_MAX:
+        return NotProbed(f"it claims {segment_count} segments and {section_count} sections")
+    one, places = _SEGMENT[bits]
+    segments = []
+    for number in range(segment_count):
+        numbers = one.unpack_from(data, segments_at + number * segment_size)
+        kind, flags, offset, address, size = (numbers[place] for place in places)
+        if kind == _LOADED and flags & _EXECUTABLE:
+            segments.append((address, offset, size))
+    sections = [
+        _SECTION[bits].unpack_from(data, sections_at + number * section_size)
+        for number in range(section_count if sections_at else 0)
     ]
-    table = next((each for each in file.iter_sections("SHT_DYNSYM") if isinstance(each, SymbolTableSection)), None)
+    table = next((each for each in sections if each[0] == _DYNAMIC_SYMBOLS), None)
     if table is None:
         return NotProbed("it has no table of dynamic symbols: its section headers were stripped")
+    _, symbols_at, table_bytes, linked = table
     entry, (name_at, value_at, type_at, section_at) = _SYMBOL[bits]
-    count = table["sh_size"] // entry.size
-    if count > SYMBOLS_MAX or table["sh_size"] > len(data):
+    count = table_bytes // entry.size
+    if count > SYMBOLS_MAX or table_bytes > len(data):
         return NotProbed(f"its table claims {count} symbols, more than any library has")
-    texts = table.stringtable["sh_offset"]
+    if linked >= len(sections):
+        raise ValueError("its dynamic symbols have no names")
+    texts = sections[linked][1]
     # Each name to find, with its terminator. A text without one matches no name, however long it is.
     wanted = {name.encode(): name for name in names}
     longest = max(map(len, wanted), default=0) + 1
     offsets: dict[str, int | NotProbed] = {}
-    for numbers in entry.iter_unpack(data[table["sh_offset"] : table["sh_offset"] + count * entry.size]):
+    for numbers in entry.iter_unpack(data[symbols_at : symbols_at + count * entry.size]):
         begin = texts + numbers[name_at]
         text, end, _ = data[begin : begin + longest].partition(b"\0")
         name = wanted.get(text) if end else None
         if name is None or numbers[section_at] == _UNDEFINED:
             continue
         offset = _offset(numbers[value_at], numbers[type_at] & 15, segments)
-        if architecture == "x86_64" and isinstance(offset, int) and data.startswith(_ENDBR64, offset):
+        if made_for == "x86_64" and isinstance(offset, int) and data.startswith(_ENDBR64, offset):
             offset += len(_ENDBR64)
         if name in offsets and offsets[name] != offset:
             offset = NotProbed("its table has two functions of this name")
         offsets[name] = offset
-    return LibrarySymbols(architecture=architecture, offsets=offsets)
+    return LibrarySymbols(architecture=made_for, offsets=offsets)
 
 
 def _offset(value: int, kind: int, segments: Collection[tuple[int, int, int]]) -> int | NotProbed:

@@ -82,7 +82,7 @@ class Connection:
         """Run a command and wait for its end.
 
         Raises DeadlineExpired after `deadline_s` seconds, once what was started has been killed; TargetError when it
-        prints more than 8 MiB; ConnectionLost.
+        prints more than 2 MiB; ConnectionLost.
         """
         stdout = Collector(OUTPUT_BYTES_MAX)
         status, stderr = self.shell.execute(argv, [stdin.encode()] if stdin else [], stdout, deadline_s)

@@ -5,8 +5,9 @@ from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 CHUNK_BYTES = 32768
-# What a command may print. The largest that is read whole is the kernel's configuration with some 300 KiB.
-OUTPUT_BYTES_MAX = 8 * 1024 * 1024
+# What a command may print. The largest that is read whole is the kernel's configuration with some 300 KiB, or what a
+# machine with a thousand CPUs says of them. A list of its words takes thirty times the memory.
+OUTPUT_BYTES_MAX = 2 * 1024 * 1024
 # How often a command that waits for the end of its standard input is looked after.
 POLL_S = 0.2
 

@@ -38,11 +38,17 @@ APART_S = 2.0
 OBSERVATIONS_MAX = 1_500_000
 # Of an observation on the average, and of all on top: those of small boards have 200 to 1000.
 OBSERVATION_BYTES = 4096
-OUTPUT_BYTES = 16 * MIB
+OUTPUT_BYTES = 8 * MIB
 # Of the state at one moment: a line for each real-time thread, each load, and a few more.
 STATE_LINES_MAX = 50_000
+# CPUs in all the different sets of them that threads and loads may run on: those of a month on a machine with hundreds.
+SETS_CPUS_MAX = 250_000
+# Different rivals of a run; more are left out.
+RIVALS_MAX = 10_000
 # Names in a line of counts: those of a PC with many devices.
 COUNTS_MAX = 512
+# In a line of the state, a name with blanks at its end.
+_SPLIT_WORDS = 24
 _COUNTS = re.compile(r"counts( [A-Za-z0-9_.:-]{1,64}=\d{1,15})*", re.ASCII)
 
 ThreadState = tuple[str, int, frozenset[int]]
@@ -112,9 +118,10 @@ def _whole_lines(stream: TextIO) -> Iterator[str]:
 def read_observations(stream: TextIO) -> list[Observation]:
     """Read what a sampler printed, as far as it goes: a last line that was cut off is left out. Raises UsageError."""
     observations: list[Observation] = []
-    block: list[list[str]] = []
+    block: list[str] = []
+    known = _Known()
     for number, line in enumerate(_whole_lines(stream), start=1):
-        words = line.split()
+        words = line.split(maxsplit=COUNTS_MAX)
         try:
             if words[:1] == ["at"]:
                 if len(observations) == OBSERVATIONS_MAX:
@@ -126,14 +133,38 @@ def read_observations(stream: TextIO) -> list[Observation]:
                     raise ValueError
                 observations[-1] = replace(observations[-1], counts=line[len("counts ") :])
             elif words[:1] == ["end"]:
-                observations[-1] = _complete(observations[-1], block, words[1:])
+                observations[-1] = _complete(observations[-1], block, words[1:], known)
             else:
                 if len(block) == STATE_LINES_MAX:
                     raise ValueError
-                block.append(words)
+                block.append(line)
         except (ValueError, IndexError, KeyError):
             raise UsageError(f"{SAMPLER_OUTPUT}:{number}: not what sample.sh writes: {line[:80]!r}") from None
     return observations
+
+
+class _Known:
+    """The sets of CPUs and the rivals of all observations: those that are alike are kept once."""
+
+    def __init__(self) -> None:
+        self._sets: dict[str, frozenset[int]] = {"-": frozenset()}
+        self._cpus = 0
+        self._rivals: dict[Rival, Rival] = {}
+
+    def cpus(self, word: str) -> frozenset[int]:
+        """The set of CPUs of a list. Raises ValueError for no such list, and where there are too many."""
+        if word not in self._sets:
+            cpus = self._sets[word] = frozenset(cpu_set(word))
+            self._cpus += len(cpus) + len(word)
+            if self._cpus > SETS_CPUS_MAX:
+                raise ValueError
+        return self._sets[word]
+
+    def rival(self, rival: Rival) -> Rival | None:
+        """The same as is known; None where there is no room for another one."""
+        if rival not in self._rivals and len(self._rivals) >= RIVALS_MAX:
+            return None
+        return self._rivals.setdefault(rival, rival)
 
 
 def _begin(words: list[str], before: Observation | None) -> Observation:
@@ -141,9 +172,10 @@ def _begin(words: list[str], before: Observation | None) -> Observation:
     ticks = tuple(whole_number(word, lowest=0) for word in words[6:14])
     if len(ticks) < 8:
         raise ValueError
+    uptime_s = _uptime_s(words[1])
     gauges: dict[str, Any] = {
-        "uptime_s": _uptime_s(words[1]),
-        "until_s": _uptime_s(words[1]),
+        "uptime_s": uptime_s,
+        "until_s": uptime_s,
         "load_1min": real_number(words[2], lowest=0, highest=PID_MAX),
         "temperature_mc": _readings(words[3], -TEMPERATURE_MAX_MC, TEMPERATURE_MAX_MC),
         "frequency_khz": _readings(words[4], 0, FREQUENCY_MAX_KHZ),
@@ -153,24 +185,26 @@ def _begin(words: list[str], before: Observation | None) -> Observation:
     return replace(before, **gauges) if before else Observation(**gauges)
 
 
-def _complete(observation: Observation, block: list[list[str]], until: list[str]) -> Observation:
+def _complete(observation: Observation, block: list[str], until: list[str], known: _Known) -> Observation:
     threads: dict[str, list[ThreadState]] = {}
     loads: dict[str, tuple[int, frozenset[int]]] = {}
     rivals: set[Rival] = set()
     governor: tuple[str, ...] = ()
     runtime_us: int | None = None
-    for words in block:
+    for line in block:
+        words = line.split(maxsplit=_SPLIT_WORDS)
         if words[0] == "thread":
             if " ".join(words[6:]) in NON_MEASURING_THREADS:
                 continue
-            state = (_policy(words[3]), _priority(words[4]), _cpus(words[5]))
+            state = (_policy(words[3]), _priority(words[4]), known.cpus(words[5]))
             threads.setdefault(words[1], []).append(state)
         elif words[0] == "load":
-            loads[words[1]] = (whole_number(words[2], lowest=0, highest=PID_MAX), _cpus(words[3]))
+            loads[words[1]] = (whole_number(words[2], lowest=0, highest=PID_MAX), known.cpus(words[3]))
         elif words[0] == "rival":
-            rivals.add(_rival(words))
+            if rival := known.rival(_rival(words)):
+                rivals.add(rival)
         elif words[0] == "governor":
-            governor = () if words[1] == "-" else tuple(words[1].split(","))
+            governor = () if words[1] == "-" else tuple(dict.fromkeys(words[1].split(",")))
         elif words[0] == "sched_rt_runtime_us":
             runtime_us = None if words[1] == "-" else whole_number(words[1], lowest=-1, highest=RT_RUNTIME_MAX_US)
     # Runs that were measured before 2026-11-23 do not tell.
@@ -209,13 +243,10 @@ def _uptime_s(word: str) -> float:
 
 
 def _readings(word: str, lowest: int, highest: int) -> tuple[int, ...]:
-    """What sensors say, without those that are broken."""
-    numbers = () if word == "-" else tuple(whole_number(number) for number in word.split(","))
-    return tuple(number for number in numbers if lowest <= number <= highest)
-
-
-def _cpus(word: str) -> frozenset[int]:
-    return frozenset() if word == "-" else frozenset(cpu_set(word))
+    """The lowest and the highest that sensors say, without those that are broken."""
+    numbers = [] if word == "-" else [whole_number(number) for number in word.split(",")]
+    known = [number for number in numbers if lowest <= number <= highest]
+    return tuple(sorted({min(known), max(known)})) if known else ()
 
 
 def while_measuring(observations: Iterable[Observation], *, is_attached: bool = False) -> list[Observation]:
@@ -246,9 +277,9 @@ def summarize(
     return Observed(
         policy=sorted({policy for policy, _, _ in states}),
         priority=sorted({priority for _, priority, _ in states}),
-        cpus=sorted({cpu for _, _, cpus in states for cpu in cpus}),
+        cpus=_union(cpus for _, _, cpus in states),
         loads={name: min(each.loads[name][0] if name in each.loads else 0 for each in seen) for name in names},
-        load_cpus=sorted({cpu for each in seen for _, cpus in each.loads.values() for cpu in cpus}),
+        load_cpus=_union(cpus for each in seen for _, cpus in each.loads.values()),
         governor=sorted({name for each in seen for name in each.governor}),
         busy_percent=busy_percent(seen),
         sched_rt_runtime_us=sorted({each.sched_rt_runtime_us for each in seen if each.sched_rt_runtime_us}),
@@ -258,6 +289,11 @@ def summarize(
         rivals=first[:REPORTED_RIVALS],
         observations=len(seen),
     )
+
+
+def _union(sets: Iterable[frozenset[int]]) -> list[int]:
+    """What is in any of many sets, of which most are alike."""
+    return sorted(frozenset[int]().union(*set(sets)))
 
 
 def _range(values: Iterable[NumberT]) -> Range[NumberT] | None:

@@ -119,6 +119,28 @@ def test_names_without_an_end(compiled, tmp_path):
     assert read_symbols(tmp_path / "x.so", ["probed", "absent"]).offsets == {}, "no symbol begins at the last name"
 
 
+@pytest.mark.timeout(30)
+def test_names_of_sections_are_not_read(compiled, tmp_path):
+    """4000 sections whose names, and of which notes and tables of their own, go on to the end of 60 MB."""
+    data = bytearray(compiled("gcc").read_bytes())
+    sections = b"".join(
+        struct.pack("<IIQQQQIIQQ", 0, (1, 2, 4, 5, 6, 7)[number % 6], 0, 0, 64, 2**40, 1, 2**32 - 1, 1, 1)
+        for number in range(4000)
+    )
+    struct.pack_into("<Q", data, 40, len(data))
+    struct.pack_into("<HHH", data, 58, 64, 4000, 1)
+    (tmp_path / "x.so").write_bytes(data + sections + b"a" * 60_000_000)
+    assert "no table of dynamic symbols" in read_symbols(tmp_path / "x.so", ["probed"]).reason
+
+
+@pytest.mark.parametrize("at", [32, 40])
+def test_offsets_beyond_every_file(compiled, tmp_path, at):
+    data = bytearray(compiled("gcc").read_bytes())
+    struct.pack_into("<Q", data, at, 2**64 - 1)
+    (tmp_path / "x.so").write_bytes(data)
+    assert "no library that can be read" in read_symbols(tmp_path / "x.so", ["probed"]).reason
+
+
 def test_more_segments_than_a_library_has(compiled, tmp_path):
     data = bytearray(compiled("gcc").read_bytes())
     struct.pack_into("<H", data, 56, 0xFFFE)

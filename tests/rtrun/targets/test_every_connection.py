@@ -42,7 +42,7 @@ def test_the_deadline_ends_everything_that_was_started(connection, tmp_path, end
 
 
 def test_too_much_output_ends_the_command(connection):
-    with pytest.raises(TargetError, match="cat printed more than 8 MiB and was ended"):
+    with pytest.raises(TargetError, match="cat printed more than 2 MiB and was ended"):
         connection.check(["cat", "/dev/zero"])
 
 

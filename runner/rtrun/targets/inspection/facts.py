@@ -282,7 +282,8 @@ def parse_state(text: str) -> TargetState:
         elif name in _TEXTS:
             state[name] = body.strip() or None
         elif name in TargetState.model_fields and name != "rt_threads":
-            lines = body.strip().splitlines()
+            # The most are one of each CPU.
+            lines = body.strip().splitlines()[:CPUS_MAX]
             state[name] = lines[0] if len(lines) == 1 else lines or None
     try:
         return TargetState(**state)

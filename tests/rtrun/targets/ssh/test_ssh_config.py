@@ -344,7 +344,7 @@ def test_through_a_jump_host(behind, gate, tmp_path):
     assert connection.check(["wc", "-c"], stdin="x" * 7_000_000).split() == ["7000000"]
     for _ in range(300):
         connection.check(["true"])
-    with pytest.raises(TargetError, match="printed more than 8 MiB and was ended"):
+    with pytest.raises(TargetError, match="printed more than 2 MiB and was ended"):
         connection.check(["cat", "/dev/zero"])
     connection.close()
 
