@@ -250,3 +250,71 @@ def test_a_runner_that_is_stopped_for_a_while(target, tmp_path):
         process.wait()
     check_kept(records, tmp_path / "results", for_s=4)
     assert status == 0
+
+
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [
+        (FlowAccumulator, "finish"),
+        (observation, "coverage"),
+        (run_execution, "_end_background"),
+        (run_execution, "close"),
+        (run_execution.processes, "remove"),
+    ],
+)
+def test_ctrl_c_after_it(target, tmp_path, monkeypatch, owner, name):
+    """At each step up to its end."""
+    step = getattr(owner, name)
+
+    def interrupted(*args, **more):
+        interrupt()
+        return step(*args, **more)
+
+    monkeypatch.setattr(owner, name, interrupted)
+    status, records = observe(target(), tmp_path, for_s=1)
+    check_kept(records, tmp_path / "results", for_s=1, least=1)
+    assert status == 130 and not [*(tmp_path / "results").glob(".*")]
+
+
+LIMITED = """
+import resource, sys
+sys.path[:0] = {path!r}
+from pathlib import Path
+from rtrun.execution import observation, system
+from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.targets import deploy
+from hostile.test_observation_ends import PROBES, Placement, main
+deploy.ON_TARGET = Path({scripts!r})
+observation.watch = lambda *_, **__: observation.Watched(found=(), placement=Placement(probes=PROBES, refused=()))
+system.wait_ready = lambda *_, **__: None
+feed, calls = FlowAccumulator.feed, []
+
+def fed(flows, items):
+    calls.append(feed(flows, items))
+    if len(calls) == 6:
+        {limit}
+
+FlowAccumulator.feed = fed
+sys.exit(main({argv!r}))
+"""
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        "resource.setrlimit(resource.RLIMIT_NOFILE, (24, 24))",
+        "resource.setrlimit(resource.RLIMIT_AS, (1, 1)); globals().update(hog=[bytes(1 << 24) for _ in range(10)])",
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))",
+        "resource.setrlimit(resource.RLIMIT_NPROC, (1, 1))",
+    ],
+    ids=["files", "memory", "size of a file", "processes"],
+)
+def test_a_runner_that_gets_no_more(target, tmp_path, limit):
+    file = target()
+    argv = ["observe", "--target", str(file), "--for", "2s", "--results", str(tmp_path / "results")]
+    code = LIMITED.format(path=sys.path, scripts=str(deploy.ON_TARGET), argv=argv, limit=limit)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=False)
+    paths = (tmp_path / "results").glob("[0-9]*/run.json")
+    records = {path.parent.name: json.loads(path.read_text()) for path in paths}
+    assert "001" in records, (done.returncode, done.stdout[-500:], done.stderr[-3000:])
+    check_kept(records, tmp_path / "results")
