@@ -17,8 +17,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtfiles.errors import InfrastructureError
 from rtrun.cli import main
 from rtrun.execution import board, observation, resumption, run_execution, stream_runs, system
+from rtrun.execution.journal import Journal
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.probes import session
 from rtrun.probes.placement import PlacedProbe, Placement
@@ -318,3 +320,22 @@ def test_a_runner_that_gets_no_more(target, tmp_path, limit):
     records = {path.parent.name: json.loads(path.read_text()) for path in paths}
     assert "001" in records, (done.returncode, done.stdout[-500:], done.stderr[-3000:])
     check_kept(records, tmp_path / "results")
+
+
+@pytest.mark.parametrize("how", ["removed", "journal that cannot be written"])
+def test_a_campaign_whose_results_folder_goes_away(target, tmp_path, monkeypatch, how):
+    file, results = target(), tmp_path / "results"
+    runs = {"schema": 1, "name": "own", "for": "2s", "subject": "attached", "runs": [{"sampler": "none"}]}
+    (tmp_path / "own.yml").write_text(json.dumps(runs))
+
+    def fail(*_):
+        raise InfrastructureError("the journal: cannot keep the results: disk I/O error")
+
+    if how == "removed":
+        once_seen(monkeypatch, lambda: shutil.rmtree(results))
+    else:
+        once_seen(monkeypatch, lambda: monkeypatch.setattr(Journal, "note", fail))
+    main(["run", str(tmp_path / "own.yml"), "--target", str(file), "--results", str(results)])
+    records = {path.parent.name: json.loads(path.read_text()) for path in results.glob("[0-9]*/run.json")}
+    (name,) = [name for name in records if records[name]["suite"] == "observation"]
+    check_kept({**records, "001": records[name]}, results)

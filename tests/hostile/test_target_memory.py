@@ -63,7 +63,7 @@ def look(link, users):
     return (6, 1), {(one.device, one.inode): of(size_bytes=9, sha256=f"{one.inode:064}", path="/x") for one in each}
 
 placement._resolve, placement._look = fetch, look
-maps = ["".join(f"\\nmaps 1-2 fe:00 {pid * 16 + n} /{n}/librcl.so" for n in range(16)) for pid in range(2001)]
+maps = ["".join(f"\\nmaps 1-2 fe:00 {pid * 16 + n} /{pid}/{n}/librcl.so" for n in range(16)) for pid in range(2001)]
 lines = [f"program {pid}\\nstat {pid} (x) S{' 1' * 48}{maps[pid]}\\nend {pid}\\n" for pid in range(1, 2001)]
 found = parse_programs("".join(lines), "x").found
 assert len(found) == 2000
