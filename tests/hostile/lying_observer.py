@@ -101,6 +101,12 @@ def say(data: bytes) -> None:
 def main() -> None:
     """Lie until the reader goes away."""
     lie = sys.argv[1]
+    if lie == "no line":
+        while True:
+            say(b"x" * 4096)
+    if lie == "errors":
+        while True:
+            os.write(2, b"x" * 4095 + b"\n")
     formats = {"publish_0_0": PUBLISH, "take_0_1": TAKE, "callback_begin_0_2": CALLBACK}
     if lie == "one text":
         more = "".join(FIELD.format("__data_loc char[]", f"x{n}", TEXTS_AT + 4 * n, 4, 1) for n in range(190))
@@ -113,6 +119,23 @@ def main() -> None:
     say(f"{head}ready\n".encode())
     begin_ns = BEGIN_NS - 10 if lie != "clock" else 1 << 62
     say(a_round(1, cpu0=page(begin_ns, event(0, mark("observes")) + event(1, mark("round 1")))))
+    if lie in ("silence", "drip"):
+        while True:
+            time.sleep(1)
+            say(b"r" * (lie == "drip"))
+    if lie == "ready again":
+        for number in itertools.count(2):
+            at_ns = BEGIN_NS + number * 10**9
+            say(a_round(number, cpu0=page(at_ns, event(0, mark(f"round {number}")))) + b"ready\n")
+            time.sleep(0.5)
+    if lie == "late":
+        topics = pages("topics")
+        for number in itertools.count(2):
+            at_ns = BEGIN_NS + number * 10**9
+            say(a_round(number, cpu0=page(at_ns, event(0, mark(f"round {number}")))) + b"pages 0\n")
+            # Of the second round they are in time, and later ones have the times of that again.
+            say(b"".join(struct.pack("<Q", BEGIN_NS + 10**9) + next(topics)[8:] for _ in range(1000)))
+            say(b"rtrun end pages\n")
     if lie == "placed":
         while True:
             say(b"placed take_0_1\n" * 4096)

@@ -51,11 +51,14 @@ print(next(line for line in Path("/proc/self/status").read_text().splitlines() i
 LIES = (
     "hits", "topics", "endpoints", "texts", "pages", "threads", "callbacks", "stamps", "still", "placed", "rounds",
     "programs", "a program", "gaps", "one round", "one text",
-    "cpu sets", "clock", "clock that jumps", "traces",
+    "cpu sets", "clock", "clock that jumps", "traces", "no line", "errors", "silence", "drip", "ready again", "late",
 )  # fmt: skip
 
 CLOCK = "what watch_probes.sh printed cannot be read: a page that claims .* ns on"
 ENDS = {
+    "no line": "^error TargetError .*a line without an end",
+    "errors": "^error TargetError .*printed more than 2 MiB",
+    "ready again": "^streams 0 .*unexpected line 'ready'",
     "clock": f"^error TargetError .*{CLOCK}",
     "clock that jumps": f"^streams 1 .*'it was ended early: this machine: {CLOCK}",
 }
