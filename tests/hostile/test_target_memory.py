@@ -101,6 +101,15 @@ found = [running(1, "libroscpp")]
 graph = ros_graph.read_graph(link(b"", b"x"), PurePosixPath("/x"), found)
 assert "names that are no texts" in graph.remarks[0], graph.remarks
 """,
+    "records that are none": """
+path = Path(sys.argv[1]) / "x.json"
+for key in ("in_effect", "indices"):
+    path.write_text(json.dumps({key: {"threads": [{}] * 240_000, "missing": [""] * 240_000}}))
+    try:
+        read_json(path, Record)
+    except UsageError as error:
+        assert len(str(error)) < 10_000
+""",
     "CPUs of threads": """
 ranges = "0-8191," * 8191 + "0"
 reader = ProgramReader("x")
@@ -124,12 +133,14 @@ import contextlib, json, sys
 from pathlib import Path, PurePosixPath
 from types import SimpleNamespace
 from watched import parse_programs
+from rtfiles.config import read_json
 from rtfiles.errors import UsageError
 from rtfiles.output import print_json
 from rtrun.commands import observe, run
 from rtrun.commands.check_rt import _as_json
 from rtrun.execution import resumption, ros_graph
 from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.kinds.output import Record
 from rtrun.probes import placement
 from rtrun.probes.hits import Hit
 from rtrun.probes.libraries.description import events, libraries

@@ -18,6 +18,7 @@ from rtfiles.wording import SHOWN_CHARACTERS, mistake, unknown
 
 # Of data that is wrong, which somebody else may have written.
 SHOWN_ERRORS = 20
+ERRORS_MAX = 10_000
 
 
 class Config(BaseModel):
@@ -218,6 +219,9 @@ def parse(data: Any, model: type[ConfigT], origin: str | Place) -> ConfigT:
     try:
         return model.model_validate(data)
     except ValidationError as error:
+        if error.error_count() > ERRORS_MAX:
+            # Their details take a KiB each.
+            raise UsageError(f"{top}: {error.error_count()} errors, so this is no such file") from None
         by_place: dict[Place, list[ErrorDetails]] = {}
         for item in error.errors():
             by_place.setdefault(_place_of(item, data, top), []).append(item)

@@ -1,7 +1,7 @@
 """What a program of a suite writes: the types of its json, and the values of a series of its samples."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -12,6 +12,9 @@ from rtrun.kinds.rate import Rate
 from rtrun.plan.limits import ClockStepNs, Count, Cpu, CpuDmaLatencyUs, CpuTimeNs, MeanNs, Pid, Priority, TimeNs
 from rtrun.plan.suites import Asked, Parameters
 
+# Each that is wrong is an error of its own.
+LIST_MAX = 20_000
+_LISTED = Field(max_length=LIST_MAX)
 # Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
 NON_MEASURING_THREADS = frozenset({"rt_blocks", "rt_traces"})
 
@@ -23,13 +26,13 @@ class Thread(Config):
     name: str
     policy: str
     priority: Priority
-    cpus: list[Cpu]
+    cpus: Annotated[list[Cpu], _LISTED]
 
 
 class InEffect(Config):
     """What was in effect while measuring, read back."""
 
-    threads: list[Thread]
+    threads: Annotated[list[Thread], _LISTED]
     clock: str
     clock_resolution_ns: ClockStepNs
     clock_step_ns: ClockStepNs
@@ -73,10 +76,10 @@ class Counts(Config):
 class Indices(Config):
     """The indices of what each of the counts counts, the first 1000."""
 
-    not_fired: list[Count]
-    missing: list[Count]
-    duplicate: list[Count]
-    out_of_order: list[Count]
+    not_fired: Annotated[list[Count], _LISTED]
+    missing: Annotated[list[Count], _LISTED]
+    duplicate: Annotated[list[Count], _LISTED]
+    out_of_order: Annotated[list[Count], _LISTED]
 
 
 class Entry(Config):
@@ -93,8 +96,8 @@ class Summary(Config):
     min_ns: TimeNs | None
     mean_ns: TimeNs | MeanNs | None
     max_ns: TimeNs | None
-    top: list[Entry]
-    lowest: list[Entry]
+    top: Annotated[list[Entry], _LISTED]
+    lowest: Annotated[list[Entry], _LISTED]
 
 
 class Files(Config):
@@ -208,8 +211,8 @@ class HostRecord(ProgramHead):
 
     start_ns: TimeNs
     measured_ns: TimeNs
-    executors: list[ExecutorRecord]
-    nodes: list[HostedNodeRecord]
+    executors: Annotated[list[ExecutorRecord], _LISTED]
+    nodes: Annotated[list[HostedNodeRecord], _LISTED]
 
 
 def no_values() -> Int64s:
