@@ -20,10 +20,10 @@ import pytest
 from rtfiles.errors import InfrastructureError
 from rtrun.cli import main
 from rtrun.execution import board, observation, resumption, run_execution, stream_runs, system
-from rtrun.execution.journal import Journal
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.probes import session
 from rtrun.probes.placement import PlacedProbe, Placement
+from rtrun.results.journal import Journal
 from rtrun.targets import deploy
 from rtrun.targets.inspection.facts import TargetState
 
