@@ -3,6 +3,7 @@
 import contextlib
 import os
 import platform
+import re
 import subprocess
 import time
 from collections.abc import Iterator
@@ -23,9 +24,6 @@ SOURCE = Path(__file__).with_name("standin.c")
 LIBRARIES = ("tracetools", "rcl")
 # Those of paths are of real programs alone.
 EVENTS = [each for each in events() if each not in ("wait", "guard_trigger", "request_take", "response_take")]
-# Where stand-ins are, and the names of the observations that were seen on them.
-_folders: list[str] = []
-_names: set[str] = set()
 
 
 def build(folder: Path, *compiler: str) -> Path:
@@ -35,7 +33,6 @@ def build(folder: Path, *compiler: str) -> Path:
         ubuntu = ("-fcf-protection=branch", "-fno-omit-frame-pointer", "-mno-omit-leaf-frame-pointer")
         compiler = ("cc", *(ubuntu if platform.machine() == "x86_64" else ()))
     folder.mkdir(exist_ok=True)
-    _folders.append(f"{folder}/")
     for name in LIBRARIES:
         library = ["-shared", "-fPIC", f"-DLIBRARY_{name}", "-o", f"{folder}/lib{name}.so"]
         subprocess.run([*compiler, "-O2", *library, SOURCE], check=True)
@@ -75,14 +72,11 @@ def observed(
 
 
 def left() -> list[str]:
-    """What observations of a stand-in of this test process have in this machine's trace; others may observe as well."""
-    probes = (TRACING / "uprobe_events").read_text().splitlines()
-    ours = [line.partition(" ")[0] for line in probes if any(folder in line for folder in _folders)]
-    _names.update(name.partition("/")[0].rpartition("observe_")[2] for name in ours if "rtrun_observe_" in name)
-    instances = {path.name for path in TRACING.glob("instances/rtrun-observe-*")}
-    return sorted(
-        {name for name in ours if "rtrun_observe_" in name} | instances & {f"rtrun-observe-{n}" for n in _names}
-    )
+    """What observations of this PID namespace have in this machine's trace. Tests of them run one after the other."""
+    ours = re.compile(rf"rtrun[-_]observe[-_]{Path('/proc/self/ns/pid').stat().st_ino}_[0-9]+_[0-9]+", re.ASCII)
+    probes = (line.partition(" ")[0] for line in (TRACING / "uprobe_events").read_text().splitlines())
+    instances = (path.name for path in TRACING.glob("instances/*"))
+    return sorted({name for name in (*probes, *instances) if ours.search(name)})
 
 
 def wait_until_nothing_is_left() -> None:
