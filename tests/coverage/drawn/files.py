@@ -18,8 +18,14 @@ import numpy as np
 DEADLINE_NS = 400_000
 PERIOD_NS = 1_000_000
 CAMPAIGN = "drawn"
+SUITES = {
+    "oneshot": "oneshot_timer_tests",
+    "cyclic": "cyclic_timer_tests",
+    "messages": "communication_tests",
+    "observed": "observation",
+}
 UNIX_0 = datetime(1970, 1, 1, tzinfo=UTC)
-_KERNEL = {"release": "6.1.0-rt", "version": "#1 SMP PREEMPT_RT", "machine": "aarch64"}
+KERNEL = {"release": "6.1.0-rt", "version": "#1 SMP PREEMPT_RT", "machine": "aarch64"}
 _JOURNAL = """
 PRAGMA journal_mode=WAL;
 CREATE TABLE IF NOT EXISTS campaign (uid TEXT NOT NULL, name TEXT NOT NULL, plan TEXT NOT NULL, target TEXT NOT NULL);
@@ -122,9 +128,22 @@ class Results:
             folder.rename(_unused(folder, "old"))
         folder.mkdir()
         if self.suite == "observed":
-            return self._close_observed(attempt, folder)
-        _fill(folder, self._files(attempt), self._record(attempt))
+            self._close_observed(attempt, folder)
+        else:
+            fill(folder, self._files(attempt), self.record(attempt))
         return folder
+
+    def _close_observed(self, attempt: Attempt, folder: Path) -> None:
+        """A run of what was observed, and beside it one of its stream."""
+        from drawn import observed
+
+        beside = folder.with_name(observed.stream_of(attempt))
+        if beside.exists():
+            beside.rename(_unused(beside, "old"))
+        beside.mkdir()
+        record = self.record(attempt) | observed.SHARED
+        fill(beside, observed.stream_files(attempt), record | observed.stream_record(attempt))
+        fill(folder, observed.FILES, record | observed.whole_record(attempt))
 
     def _note_begin(self, attempt: Attempt) -> None:
         when = attempt.start.isoformat()
@@ -136,14 +155,19 @@ class Results:
         files: dict[str, bytes] = {}
         for number, values in enumerate(attempt.outputs):
             name = self._output(attempt, number)
-            rows, counts, columns = _ROWS[self.suite](values, _clock_ns(attempt.start) + 1000 * number)
+            rows, counts, columns = _ROWS[self.suite](values, clock_ns(attempt.start) + 1000 * number)
             if attempt.kept is not None:
                 # As the runner leaves what was killed: the blocks that were on the disk.
-                files[f"{name}.npy"] = _npy(rows[: attempt.kept])
+                files[f"{name}.npy"] = npy(rows[: attempt.kept])
                 continue
             record = self._suite_json(attempt, name, counts, columns, values.size)
+            if self.suite == "messages":
+                seen = np.zeros(values.size, bool)
+                seen[rows[:, 2]] = True
+                record["indices"]["missing"] = np.flatnonzero(~seen)[:1000].tolist()
+                record["indices"]["out_of_order"] = rows[1:, 2][np.diff(rows[:, 2]) < 0][:1000].tolist()
             files[f"{name}.json"] = json.dumps(record).encode()
-            files[f"{name}.npy"] = _npy(rows)
+            files[f"{name}.npy"] = npy(rows)
         if self.suite == "messages" and attempt.kept is None:
             name = f"{self._stem(attempt)}-publisher.json"
             record = self._suite_json(attempt, name, {}, [], attempt.loops)
@@ -160,6 +184,7 @@ class Results:
             "oneshot": f"oneshot_timer_tests_l{n}_tm1000-tnRTFIFO",
             "cyclic": f"cyclic_timer_tests_l{n}_fq1000-tnRTFIFO",
             "messages": f"ct_gnuplot_l{n}_fq1000_pl0-tnRTFIFO",
+            "observed": "",
         }[self.suite]
 
     def _output(self, attempt: Attempt, number: int) -> str:
@@ -172,61 +197,38 @@ class Results:
             "oneshot": {"timeout_us": 1000, "busy_mode": 0},
             "cyclic": {"frequency_hz": 1000},
             "messages": {"frequency_hz": 1000, "payload_bytes": 0, "subscribers": len(attempt.outputs)},
+            "observed": {},
         }
         return common | own[self.suite]
 
     def _suite_json(
         self, attempt: Attempt, name: str, counts: dict[str, int], columns: list[str], asked: int
     ) -> dict[str, Any]:
-        suite = _SUITES[self.suite]
-        hz = None if self.suite == "oneshot" else 1000
-        achieved = 1e9 / PERIOD_NS if attempt.achieved_hz is None else attempt.achieved_hz
-        nothing: dict[str, list[int]] = {"not_fired": [], "missing": [], "duplicate": [], "out_of_order": []}
+        suite = SUITES[self.suite]
         requested = {key: value for key, value in self._parameters(attempt).items() if key != "subscribers"}
         thread = {"tid": 1, "name": suite[:15], "policy": "FIFO", "priority": 95, "cpus": [0, 1]}
-        zeros = {"asked": asked, "measured": asked, "not_fired": 0, "missing": 0, "duplicate": 0, "out_of_order": 0}
-        return {
-            "schema": 1,
-            "suite": suite,
-            "program": suite if self.suite != "messages" else "communication_tests_subscriber",
-            "version": "0.1.0",
-            "complete": True,
-            "incomplete_reason": None,
-            "requested": requested,
-            "in_effect": {
-                "threads": [thread],
-                "clock": "CLOCK_MONOTONIC_RAW",
-                "clock_resolution_ns": 1,
-                "clock_step_ns": 16,
-                "mlockall": True,
-                "cpu_dma_latency_us": 2000000000,
-            },
-            "host": attempt.board,
-            "kernel": _KERNEL,
-            "start_time": _utc(attempt.start),
-            "end_time": _utc(attempt.end),
-            "counts": zeros | counts,
-            "indices": nothing,
-            "rate": {
-                "asked_hz": hz,
-                "achieved_hz": achieved,
-                "overruns": None if hz is None else 0,
-                "skipped": None if hz is None else 0,
-            },
-            "summary": {},
-            "files": {"logs": [], "npy": f"{name}.npy"},
-            "columns": columns,
-            "traces": {"above_limit": 0, "files": []},
-        }
+        made = program_json(attempt, suite, requested, {"asked": asked, "measured": asked} | counts, columns, name)
+        made["in_effect"] |= {"threads": [thread], "clock": "CLOCK_MONOTONIC_RAW", "clock_step_ns": 16}
+        made["in_effect"] |= {"mlockall": True, "cpu_dma_latency_us": 2000000000}
+        made["rate"] = self._rate(attempt)
+        if self.suite == "messages":
+            made["program"] = "communication_tests_subscriber"
+        return made
 
-    def _record(self, attempt: Attempt) -> dict[str, Any]:
-        suite = _SUITES[self.suite]
+    def _rate(self, attempt: Attempt) -> dict[str, Any]:
+        achieved = 1e9 / PERIOD_NS if attempt.achieved_hz is None else attempt.achieved_hz
+        is_periodic = self.suite in ("cyclic", "messages")
+        zero = 0 if is_periodic else None
+        asked = 1000 if is_periodic else None
+        return {"asked_hz": asked, "achieved_hz": achieved, "overruns": zero, "skipped": zero}
+
+    def record(self, attempt: Attempt) -> dict[str, Any]:
+        """run.json of an attempt, without its files."""
+        suite = SUITES[self.suite]
         names = {"messages": ["communication_tests_publisher", "communication_tests_subscriber"]}.get(
             self.suite, [suite]
         )
-        hz = None if self.suite == "oneshot" else 1000
-        achieved = 1e9 / PERIOD_NS if attempt.achieved_hz is None else attempt.achieved_hz
-        rate = {"asked_hz": hz, "achieved_hz": achieved, "overruns": None, "skipped": None}
+        rate = self._rate(attempt)
         return {
             "schema": 2,
             "run": attempt.run,
@@ -267,110 +269,47 @@ class Results:
                 "address": f"ssh root@{attempt.board}",
                 "preempt_rt": True,
                 "cpus": 4,
-                "kernel_release": _KERNEL["release"],
-                "kernel_version": _KERNEL["version"],
-                "machine": _KERNEL["machine"],
+                "kernel_release": KERNEL["release"],
+                "kernel_version": KERNEL["version"],
+                "machine": KERNEL["machine"],
                 "boot_id": attempt.boot,
                 "clock": {"source": "arch_sys_counter", "event": "arch_sys_timer", "step_ns": 16},
             },
         }
 
-    def _close_observed(self, attempt: Attempt, folder: Path) -> Path:
-        """An observation of a timer, with what it has not seen: a run of it all, and one of its stream."""
-        values = attempt.outputs[0]
-        begin = _clock_ns(attempt.start)
-        asked = values.size * PERIOD_NS
-        gaps = [{"begin_ns": begin + a, "end_ns": begin + b, "cause": "rested"} for a, b in attempt.gaps]
-        seen = asked - sum(b - a for a, b in attempt.gaps)
-        coverage = {"begin_ns": begin, "asked_ns": asked, "seen_ns": seen, "gaps": gaps}
-        is_seen = np.ones(values.size, bool) if attempt.unseen is None else ~attempt.unseen
-        due = begin + PERIOD_NS * np.arange(values.size)
-        cuts = np.cumsum(np.r_[0, (np.diff(is_seen.astype(int)) == 1).astype(int)])
-        segment = np.unique(cuts[is_seen], return_inverse=True)[1]
-        rows = np.stack([due + values, due, due + values, np.zeros_like(due)], axis=1)[is_seen]
-        rows[:, 3] = segment
-        rows[:, 0] = np.maximum.accumulate(rows[:, 0])
-        measured = int(np.count_nonzero(np.diff(rows[:, 3]) == 0))
-        stream = f"{attempt.run}-timers-node-1"
-        parameters = {"node": "/control", "period_ns": PERIOD_NS}
-        base = {
-            **_plain_record(attempt),
-            "parameters": parameters,
-            "suite": "observed_timers",
-            "run": stream,
-            "subject": "attached",
-            "observed_by": attempt.run,
-            "deadline_ns": DEADLINE_NS,
-            "coverage": coverage,
-            "outputs": [stream],
-            "attempt": "",
-        }
-        names = ["timestamp_ns", "expected_ns", "real_ns", "segment"]
-        record = {
-            "schema": 1,
-            "suite": "observed_timers",
-            "program": "observed_timers",
-            "middleware": "",
-            "version": "0.1.0",
-            "complete": True,
-            "incomplete_reason": None,
-            "requested": parameters,
-            "in_effect": {
-                "threads": [],
-                "clock": "CLOCK_MONOTONIC",
-                "clock_resolution_ns": 1,
-                "clock_step_ns": 1,
-                "mlockall": None,
-                "facts": {},
-            },
-            "host": attempt.board,
-            "kernel": _KERNEL,
-            "start_time": _utc(attempt.start),
-            "end_time": _utc(attempt.end),
-            "counts": {
-                "asked": measured,
-                "measured": measured,
-                "not_fired": 0,
-                "missing": 0,
-                "duplicate": 0,
-                "out_of_order": 0,
-            },
-            "indices": {"not_fired": [], "missing": [], "duplicate": [], "out_of_order": []},
-            "summary": {},
-            "files": {"logs": [], "npy": f"{stream}.npy"},
-            "columns": names,
-            "rate": {"asked_hz": None, "achieved_hz": 1000.0, "overruns": None, "skipped": None},
-            "traces": {"above_limit": 0, "files": []},
-        }
-        beside = folder.with_name(stream)
-        if beside.exists():
-            beside.rename(_unused(beside, "old"))
-        beside.mkdir()
-        _fill(beside, {f"{stream}.npy": _npy(rows), f"{stream}.json": json.dumps(record).encode()}, base)
-        whole = {
-            **_plain_record(attempt),
-            "suite": "observation",
-            "subject": "attached",
-            "parameters": {},
-            "coverage": coverage,
-            "outputs": [],
-        }
-        graph = {"schema": 1, "placed": [], "refused": [], "remarks": [], "hazards": []}
-        _fill(folder, {"graph.json": json.dumps(graph).encode()}, whole)
-        return folder
 
-
-def _plain_record(attempt: Attempt) -> dict[str, Any]:
-    plain = Results(folder=Path(), suite="oneshot", boards=[], digest="")
-    record = plain._record(attempt)
-    return record | {"programs": [], "requested": {}, "in_effect": {"observations": 2}, "repeat": attempt.repeat}
-
-
-_SUITES = {
-    "oneshot": "oneshot_timer_tests",
-    "cyclic": "cyclic_timer_tests",
-    "messages": "communication_tests",
-}
+def program_json(
+    attempt: Attempt, suite: str, requested: dict[str, Any], counts: dict[str, int], columns: list[str], name: str
+) -> dict[str, Any]:
+    """The json of a program that measured."""
+    none = {"asked": 0, "measured": 0, "not_fired": 0, "missing": 0, "duplicate": 0, "out_of_order": 0}
+    return {
+        "schema": 1,
+        "suite": suite,
+        "program": suite,
+        "version": "0.1.0",
+        "complete": True,
+        "incomplete_reason": None,
+        "requested": requested,
+        "in_effect": {
+            "threads": [],
+            "clock": "CLOCK_MONOTONIC",
+            "clock_resolution_ns": 1,
+            "clock_step_ns": 1,
+            "mlockall": None,
+        },
+        "host": attempt.board,
+        "kernel": KERNEL,
+        "start_time": utc(attempt.start),
+        "end_time": utc(attempt.end),
+        "counts": none | counts,
+        "indices": {"not_fired": [], "missing": [], "duplicate": [], "out_of_order": []},
+        "rate": {"asked_hz": None, "achieved_hz": 1e9 / PERIOD_NS, "overruns": None, "skipped": None},
+        "summary": {},
+        "files": {"logs": [], "npy": f"{name}.npy"},
+        "columns": columns,
+        "traces": {"above_limit": 0, "files": []},
+    }
 
 
 def _oneshot_rows(values: np.ndarray, begin_ns: int) -> tuple[np.ndarray, dict[str, int], list[str]]:
@@ -406,21 +345,21 @@ def _message_rows(values: np.ndarray, begin_ns: int) -> tuple[np.ndarray, dict[s
 _ROWS = {"oneshot": _oneshot_rows, "cyclic": _cyclic_rows, "messages": _message_rows}
 
 
-def _clock_ns(when: datetime) -> int:
+def clock_ns(when: datetime) -> int:
     return int((when - UNIX_0).total_seconds() * 1e9) % (10**15) + 10**9
 
 
-def _utc(when: datetime) -> str:
+def utc(when: datetime) -> str:
     return when.strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def _npy(rows: np.ndarray) -> bytes:
+def npy(rows: np.ndarray) -> bytes:
     stream = io.BytesIO()
     np.lib.format.write_array(stream, np.ascontiguousarray(rows, dtype="<i8"), version=(1, 0))
     return stream.getvalue()
 
 
-def _fill(folder: Path, files: dict[str, bytes], record: dict[str, Any]) -> None:
+def fill(folder: Path, files: dict[str, bytes], record: dict[str, Any]) -> None:
     known = {}
     for name, data in files.items():
         (folder / name).write_bytes(data)

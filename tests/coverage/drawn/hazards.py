@@ -177,7 +177,9 @@ def _missed_rates(plan: Plan, rng: Rng) -> None:
 
 
 def _gaps(plan: Plan, rng: Rng) -> None:
-    _slow_load(plan, rng)
+    # Up to nearly all of the time.
+    mean = plan.run_loops * _log_uniform(rng, 0.05, 2)
+    plan.factors.append(SlowLoad(float(rng.uniform(0.05, 0.95)), 1 - 0.05 * float(rng.random()), mean))
     plan.suite, plan.gaps = "observed", float(rng.uniform(0.5, 1))
     plan.runs = min(plan.runs, 20)
 
@@ -204,7 +206,7 @@ def _copies(plan: Plan, rng: Rng) -> None:
 def _unknown_boots(plan: Plan, rng: Rng) -> None:
     plan.is_boot_known = False
     plan.boots = int(rng.integers(1, 3))
-    plan.runs = max(plan.runs, 3)
+    plan.runs = max(plan.runs, 2)
     plan.factors.append(Unlike("boot", float(rng.uniform(0.3, 1.0))))
 
 
@@ -270,7 +272,7 @@ _NUMBER = re.compile("[0-9]")
 
 
 # So often comes each hazard alone where each pair comes once, and so many of these are three.
-ALONE, THREE = 5, 60
+ALONE, THREE = 4, 30
 
 
 @functools.cache

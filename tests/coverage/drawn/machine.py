@@ -42,7 +42,7 @@ class Machine:
         self.hazards = hazards_of(seed)
         self.plan = plan = draw_plan(rng, self.hazards)
         self.names = self.hazards or (INDEPENDENT,)
-        self.is_edge = bool(rng.random() < 0.6)
+        self.is_edge = bool(rng.random() < 0.65)
         self.aim = float(
             rng.choice([1.0, 1.05, 1 / 1.05], p=[0.7, 0.15, 0.15])
             if self.is_edge

@@ -24,7 +24,7 @@ from rtrun.plan.goal import Goal
 from rtrun.results.goal_file import write_goal
 
 TRIES = 4
-LOOKS = 8
+LOOKS = 6
 _HISTOGRAM_US = 10_000
 
 
@@ -67,7 +67,8 @@ class User:
                 if slot.number == len(slots) - 1:
                     self._copy()
                 answer = self.ask()
-                if answer["passed"] or answer["refuted"]:
+                # A campaign with a goal ends with either answer, who has none goes on until it is green.
+                if answer["passed"] or (answer["refuted"] and self.has_goal):
                     break
         return answer | {"runs": slot.number + 1}
 
@@ -81,12 +82,17 @@ class User:
                 "deadline": "400us",
                 "probability": f"{self.plan.probability:g}",
                 "at_most": "8h",
-                "boots": int(self.rng.choice([1, self.plan.boots, 5])),
+                "boots": self._boots_asked(),
             }
             if self.plan.base == "bursts" and self.rng.random() < 0.25:
                 goal["bursts"] = int(self.plan.burst)
             write_goal(self.folder, Goal.model_validate(goal))
         self.results.session(self.machine.slots[0].start)
+
+    def _boots_asked(self) -> int:
+        """At most as many as are measured, or nothing would ever be proven; more only where nobody knows how many."""
+        least = 5 if not self.plan.is_boot_known else min(5, self.plan.boots)
+        return int(self.rng.choice([1, least, self.plan.boots]))
 
     def _name(self, slot: Slot) -> str:
         suite = {"oneshot": "oneshot_timer_tests", "cyclic": "cyclic_timer_tests", "messages": "communication_tests"}
@@ -121,7 +127,7 @@ class User:
         """End an attempt badly; whether nobody measures it again."""
         attempt.status, attempt.exit_status = "failed", 137
         attempt.kept = int(self.rng.integers(1, attempt.loops))
-        name = self.results._record(attempt)["programs"][-1]["name"]
+        name = self.results.record(attempt)["programs"][-1]["name"]
         reasons = [f"{name} ended with exit status 137", f"{name} was ended: it took longer than it may"]
         attempt.reason = str(self.rng.choice(reasons))
         if how == "invalid":
@@ -170,11 +176,13 @@ class User:
         path = self.beside / f"{attempt.run}.txt"
         path.write_text(_histogram(attempt.outputs))
         self._import(path, attempt)
-        if self.plan.copies and self.rng.random() < 0.7:
-            for number in range(self.plan.copies):
-                again = self.beside / f"{attempt.run}-again-{number}.txt"
+        for number in range(self.plan.copies):
+            again = self.beside / f"{attempt.run}-again-{number}.txt"
+            if self.machine.seed % 2:
                 again.write_bytes(path.read_bytes())
                 self._import(again, attempt)
+            else:
+                shutil.copytree(self.folder / attempt.run, self.folder / again.stem)
 
     def _import(self, path: Path, attempt: Attempt) -> None:
         words = ["import", str(path), "--results", str(self.folder), "--platform", "hardware", "--quiet"]
