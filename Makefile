@@ -102,10 +102,12 @@ lint: docs
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# The error rates of verdicts, simulated at length and written into docs/analysis.md; `make test` has a short version.
+# The error rates of verdicts, simulated at length and written into docs/analysis.md; `make test` has a short version. Then
+# machines that are drawn at random, for HOURS (8): it goes on where it was stopped, and a full run writes docs/coverage.md.
 coverage: setup
 	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/simulate.py
 	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/years.py
+	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/machines.py --hours $(or $(HOURS),8)
 
 bench: setup
 	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check

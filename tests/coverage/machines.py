@@ -108,6 +108,9 @@ def run(seeds: Iterator[int], until: float, path: Path, state: str) -> None:
     """Examine machines on all processors until the time is over; each line is on the disk when it is there."""
     path.parent.mkdir(parents=True, exist_ok=True)
     waiting = itertools.takewhile(lambda _: time.monotonic() < until, seeds)
+    if path.exists() and not path.read_bytes().endswith(b"\n"):
+        with path.open("a") as out:
+            out.write("\n")  # after a line that was cut off
     with path.open("a") as out, multiprocessing.Pool(min(2, os.cpu_count() or 1), maxtasksperchild=2000) as pool:
         for line in pool.imap_unordered(examine, _fed(waiting), chunksize=4):
             out.write(json.dumps(line | {"digest": state}) + "\n")
