@@ -211,3 +211,22 @@ def test_a_run_goes_on_after_a_line_that_was_cut_off(tmp_path):
     path.write_text('{"cut o')
     machines.run(iter(_seeds("heavy tails", count=2)), math.inf, path, "a")
     assert len(machines.read_lines(path, "a")) == 2
+
+
+@pytest.mark.parametrize("only", [[], ["--only", "climb"]])
+def test_a_full_run_alone_writes_the_page(only, tmp_path, monkeypatch):
+    monkeypatch.setattr(machines, "digest", lambda: "a")
+    monkeypatch.setattr(machines, "run", lambda *_: None)
+    monkeypatch.setattr("drawn.tables.HAZARD_LEAST", 3)
+    page, path = tmp_path / "coverage.md", tmp_path / "lines"
+    monkeypatch.setattr(machines, "PAGE", page)
+    monkeypatch.setattr(sys, "argv", ["machines.py", "--lines", str(path), *only])
+    lines = [json.dumps(_line(name, passed=False) | {"digest": "a"}) for name in HAZARDS for _ in range(3)]
+    path.write_text("\n".join(lines[1:]) + "\n")
+    assert machines.main() == 0
+    assert not page.exists()
+    path.write_text("\n".join(lines) + "\n")
+    assert machines.main() == 0
+    assert page.exists() == (not only)
+    if not only:
+        assert "| climb | 0.0 % of 3 |" in page.read_text()
