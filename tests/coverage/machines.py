@@ -146,7 +146,8 @@ def print_machine(seed: int) -> int:
     print(f"seed {seed}: {', '.join(machine.names)}")
     print(f"  {plan}")
     print(f"  {sum(loops)} loops, {min(loops)} to {max(loops)} a run; asked for: below {plan.probability:g}")
-    print(f"  truth: {' or '.join(f'{truth:.4g}' for truth in machine.truths)}; seen in the files: {machine.visible()}")
+    print(f"  truth: {' or '.join(f'{truth:.4g}' for truth in machine.truths)}, of: {machine.asked_about}")
+    print(f"  seen in the files: {', '.join(machine.visible()) or 'nothing'}")
     print(f"  gate: {answer}")
     line = {"truths": machine.truths, "p": plan.probability}
     wrong = [name for name in ("passed", "refuted") if answer[name] and is_false(line, name)]

@@ -201,7 +201,7 @@ class Leak(OfLoops):
 
 @dataclass(frozen=True)
 class Ramp(OfLoops):
-    """It climbs from the first loop of the campaign to its last one; the time of one run after it is asked about."""
+    """It climbs from the first loop of the campaign to the last; a twentieth of that time is asked about, after it."""
 
     climb: float
 

@@ -268,6 +268,27 @@ HAZARDS = {
     "looks": _hazard(_looks, "user", "look"),
 }
 INDEPENDENT = "independent misses"
+# What the question is about where that is more, or other, than what was measured.
+POPULATIONS = {
+    "gaps": "all of the time, seen or not",
+    "missed rates": "all attempts at a run",
+    "failures": "all attempts at a run",
+    "hangs": "all attempts at a run",
+    "deletes": "all attempts at a run",
+    "day and night": "all hours of the day",
+    "leak": "a process that lives a quarter longer, after what was measured",
+    "ramp": "a twentieth of the time measured, after it",
+    "climb": "the next boot",
+    "step": "the machine since the step",
+    "rare states": "runs of all kinds",
+    "unlike runs": "runs of all kinds",
+    "bad boots": "boots of all kinds, which count alike",
+    "unlike boots": "boots of all kinds, which count alike",
+    "unknown boots": "boots of all kinds, which count alike",
+    "bad boards": "boards of all kinds, which count alike",
+    "unlike boards": "boards of all kinds, which count alike",
+    "unequal lengths": "runs that count alike, or for as long as they are",
+}
 _NUMBER = re.compile("[0-9]")
 
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from drawn.factors import Climb, Factor, Leak, Moments, Place, Ramp, Rng, SlowLoad, strata
 from drawn.files import DEADLINE_NS, MISSING, PERIOD_NS
-from drawn.hazards import HAZARDS, INDEPENDENT, Plan, draw_plan, hazards_of, lengths
+from drawn.hazards import HAZARDS, INDEPENDENT, POPULATIONS, Plan, draw_plan, hazards_of, lengths
 from scipy.signal import lfilter
 from scipy.special import ndtr
 
@@ -66,6 +66,12 @@ class Machine:
             if factor.level != without:
                 product = product * factor.population(moments, rng)
         return product
+
+    @property
+    def asked_about(self) -> str:
+        """The population whose truth it is, in words."""
+        words = [POPULATIONS[name] for name in self.hazards if name in POPULATIONS]
+        return "; ".join(dict.fromkeys(words)) or "loops like those measured"
 
     def truth_of(self, scale: float, product: np.ndarray) -> float:
         """The probability of a miss where the factors have these products."""
