@@ -85,10 +85,15 @@ def examine(seed: int) -> Line:
         "edge": machine.is_edge,
         "p": machine.plan.probability,
         "truths": machine.truths,
-        "visible": machine.visible(),
+        "visible": seen_in_files(machine, answer["failed"]),
         **answer,
         "s": round(time.monotonic() - began, 3),
     }
+
+
+def seen_in_files(machine: Machine, failed: int) -> list[str]:
+    """The hazards that stand in the files; those of failures where at least one of its attempts failed."""
+    return [name for name in machine.visible() if failed or "failing" not in HAZARDS[name].slots]
 
 
 def read_lines(path: Path, state: str) -> list[Line]:
@@ -147,7 +152,7 @@ def print_machine(seed: int) -> int:
     print(f"  {plan}")
     print(f"  {sum(loops)} loops, {min(loops)} to {max(loops)} a run; asked for: below {plan.probability:g}")
     print(f"  truth: {' or '.join(f'{truth:.4g}' for truth in machine.truths)}, of: {machine.asked_about}")
-    print(f"  seen in the files: {', '.join(machine.visible()) or 'nothing'}")
+    print(f"  seen in the files: {', '.join(seen_in_files(machine, answer['failed'])) or 'nothing'}")
     print(f"  gate: {answer}")
     line = {"truths": machine.truths, "p": plan.probability}
     wrong = [name for name in ("passed", "refuted") if answer[name] and is_false(line, name)]

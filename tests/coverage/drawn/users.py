@@ -49,7 +49,7 @@ class User:
         self.results = Results(folder=self.folder, suite=self.plan.suite, boards=boards, digest=f"{machine.seed:016x}")
         self.has_goal = bool(self.rng.random() < 0.6)
         self.question = ["--deadline", "400us", "--probability", f"{self.plan.probability:g}"]
-        self.attempts = 0
+        self.attempts = self.failed = 0
 
     def measure_and_ask(self) -> dict[str, Any]:
         """Measure all runs; ask at the end, or after each round until it is green."""
@@ -70,7 +70,7 @@ class User:
                 # A campaign with a goal ends with either answer, who has none goes on until it is green.
                 if answer["passed"] or (answer["refuted"] and self.has_goal):
                     break
-        return answer | {"runs": slot.number + 1}
+        return answer | {"runs": slot.number + 1, "failed": self.failed}
 
     def _begin(self) -> None:
         if self.plan.suite == "histograms":
@@ -125,6 +125,7 @@ class User:
 
     def _fail(self, attempt: Attempt, how: str) -> bool:
         """End an attempt badly; whether nobody measures it again."""
+        self.failed += 1
         attempt.status, attempt.exit_status = "failed", 137
         attempt.kept = int(self.rng.integers(1, attempt.loops))
         name = self.results.record(attempt)["programs"][-1]["name"]
