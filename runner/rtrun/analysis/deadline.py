@@ -40,6 +40,18 @@ class Answer(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Unlike:
+    """Units of another kind, of which none was among those `measured`: the largest `share` of all that they may be.
+
+    It holds at the confidence asked for. Of the 24 hours of a day it is the share in which nothing was measured.
+    """
+
+    unit: Literal["run", "boot", "board", "hour"]
+    measured: int
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Verdict:
     """The answer to one deadline.
 
@@ -56,8 +68,9 @@ class Verdict:
 
     ``lost`` are attempts of which nothing is judged, beside ``runs`` that are, a sentence each; where there are some,
     ``units_missing`` units (``unit``: boots, or runs of one boot) more without such a one would outweigh them, None
-    where no number would. ``unseen_share`` of the time of an observation was not seen, ``hidden_share`` because of
-    load, which counts as late. ``lower`` and ``upper`` have both in them.
+    where no number would. ``unseen_share`` of the time of an observation was not seen,
+    ``hidden_share`` because of load, which counts as late; ``lower`` and ``upper`` have both in them. ``unlike`` says
+    what may be otherwise than all that was measured.
     """
 
     answer: Answer
@@ -87,6 +100,7 @@ class Verdict:
     units_missing: int | None = 0
     unseen_share: float = 0.0
     hidden_share: float = 0.0
+    unlike: tuple[Unlike, ...] = ()
     change: Change | None = None
     refused: str | None = None
 
@@ -126,6 +140,8 @@ class Circumstances:
     lost: tuple[str, ...] = ()
     unseen_share: float = 0.0
     hidden_share: float = 0.0
+    hours: int | None = None
+    """Of the day, in which these runs were measured; None: that is not known."""
 
 
 def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = Circumstances()) -> Verdict:
@@ -209,9 +225,27 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         units_missing=_units_missing(units, question, measured),
         unseen_share=measured.unseen_share,
         hidden_share=measured.hidden_share,
+        unlike=_unlike(len(names), boots, len({run.board for run in runs}), measured, question),
         change=constancy.change,
         refused=refused,
     )
+
+
+def _unlike(
+    runs: int, boots: int | None, boards: int, measured: Circumstances, question: Question
+) -> tuple[Unlike, ...]:
+    """What may be otherwise than all that was measured; runs of one boot, or of boots that are not known, among it."""
+    if not runs:
+        return ()
+    units: list[tuple[Literal["run", "boot", "board"], int]] = [("board", boards)]
+    if boots is not None:
+        units.insert(0, ("boot", boots))
+    if boots is None or boots == 1:
+        units.insert(0, ("run", runs))
+    found = [Unlike(unit=unit, measured=n, share=unlike_share(n, question.confidence)) for unit, n in units]
+    if measured.hours is not None:
+        found.append(Unlike(unit="hour", measured=measured.hours, share=1 - measured.hours / 24))
+    return tuple(found)
 
 
 def _shared(confidence: float, measured: Circumstances) -> float:

@@ -18,6 +18,7 @@ from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
 from rtrun.evidence.attempts import LostAttempt, kind_of, lost_attempts
 from rtrun.evidence.duplicates import copies_among
+from rtrun.evidence.hours import hours_measured
 from rtrun.evidence.time_seen import time_seen
 from rtrun.judgement.digest import Digest, JudgedDigest, digest
 from rtrun.judgement.groups import Group, key_of, scenario, slowest
@@ -300,7 +301,8 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
 def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Question, basis: _Basis) -> Verdict:
     first = alike[0].header
     kinds = {kind_of(one.header.target, one.header.suite, one.header.parameters) for one in alike}
-    seen = time_seen([basis.records[run] for run in dict.fromkeys(one.run for one in alike) if run in basis.records])
+    records = [basis.records[run] for run in dict.fromkeys(one.run for one in alike) if run in basis.records]
+    seen = time_seen(records)
     periods = [one.header.period_ns for one in alike if one.header.period_ns]
     # Subscribers of one run receive the same messages; threads of cyclictest wait for the same interrupts.
     side_by_side = len(alike) / len({one.run for one in alike})
@@ -315,6 +317,7 @@ def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Questi
             lost=tuple(str(one) for one in basis.lost if not one.kind or one.kind in kinds),
             unseen_share=seen.unseen_share,
             hidden_share=seen.hidden_share,
+            hours=hours_measured(records),
         ),
     )
 

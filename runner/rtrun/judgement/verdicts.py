@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from rtfiles.output import counted, listed, printable
 from rtfiles.quantities import duration, grouped, percent, time
-from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.analysis.deadline import Answer, Unlike, Verdict
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
 from rtrun.plan.question import NONE_TOLERATED
@@ -136,9 +136,20 @@ def _scope(verdict: Verdict) -> list[str]:
     covered = f"holds for bursts of up to {grouped(whole)} misses" if whole > 1 else "holds for misses that come singly"
     more = [f"{amount(verdict, count)} for bursts of {length}" for length, count in verdict.further_for_bursts]
     parts = [covered + (f" (without a miss, {', '.join(more)})" if more else ""), *_boots(verdict)]
+    parts += [words for each in verdict.unlike if (words := _unlike_in_words(each))]
     if verdict.unseen_share:
         parts.append(f"holds for the {percent(1 - verdict.unseen_share)} of the time that was seen")
     return parts
+
+
+def _unlike_in_words(unlike: Unlike) -> str:
+    """What may be otherwise than what was measured; of boots, and of a single run or board, others say it."""
+    if unlike.unit == "hour":
+        hours = 24
+        return f"measured in {unlike.measured} of the {hours} hours of a day" if unlike.measured < hours else ""
+    if unlike.unit == "boot" or unlike.measured < 2:
+        return ""
+    return f"{unlike.unit}s of another kind, of which none was measured, may be {percent(unlike.share)} of all"
 
 
 def _boots(verdict: Verdict) -> list[str]:

@@ -40,7 +40,10 @@ def test_alike_boards_prove_together_what_none_proves_alone(tmp_path, capsys):
         ", 2 boards" in out and ", a " in out and "of single boards: p99.9 " in out and " (a) to " in out + " (b) to "
     )
     assert main(["gate", str(tmp_path), "-v", *WORDS]) == 0
-    assert "holds for the 2 boards together" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "holds for the 2 boards together" in told
+    assert "boards of another kind, of which none was measured, may be 84 % of all" in " ".join(told.split())
+    assert "measured in 1 of the 24 hours of a day" in " ".join(told.split())
     assert main(["report", str(tmp_path), *WORDS, "--format", "markdown", "--output", "-"]) == 0
     told = capsys.readouterr().out
     assert "is met in the one scenario" in told and "for the 2 boards together" in told and "not decided" not in told

@@ -1,0 +1,27 @@
+"""In which hours of the day was measured: a machine that is worse by day is not seen at night."""
+
+from collections.abc import Iterable
+from datetime import datetime, timedelta
+
+from rtrun.results.record import RunRecord, moment
+
+HOURS = 24
+
+
+def hours_measured(records: Iterable[RunRecord]) -> int | None:
+    """How many of the 24 hours of a day (UTC) runs were measured in; None where the time of one is not known."""
+    hours: set[int] = set()
+    for record in records:
+        start, end = moment(record.start_time), moment(record.end_time)
+        if start is None:
+            return None
+        hours |= _hours(start, end or start)
+    return len(hours) or None
+
+
+def _hours(start: datetime, end: datetime) -> set[int]:
+    if end - start >= timedelta(days=1):
+        return set(range(HOURS))
+    first = start.replace(minute=0, second=0, microsecond=0)
+    spanned = int(max(timedelta(0), end - first) / timedelta(hours=1))
+    return {(first.hour + hour) % HOURS for hour in range(spanned + 1)}
