@@ -43,7 +43,7 @@ _HELD = re.compile(r"# /dev/cpu_dma_latency set to ([0-9]{1,10})us", re.ASCII)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Known:
+class _TextFacts:
     """What is known of all threads of a file, and a sentence for each thing that is not."""
 
     unit_ns: int
@@ -77,14 +77,14 @@ def read_text(path: Path, text: str, *, command: str | None = None, unit_ns: int
     return tuple(_thread(path, parts, thread, known) for thread in range(threads))
 
 
-def _of_command(command: Command, threads: int) -> _Known:
-    return _Known(unit_ns=1 if command.nanoseconds else 1000, parameters=command.parameters(threads))
+def _of_command(command: Command, threads: int) -> _TextFacts:
+    return _TextFacts(unit_ns=1 if command.nanoseconds else 1000, parameters=command.parameters(threads))
 
 
-def _of_text(parts: _Text, threads: int, unit_ns: int | None) -> _Known:
+def _of_text(parts: _Text, threads: int, unit_ns: int | None) -> _TextFacts:
     """What a text tells without its command line: a parameter that it does not tell is unknown, no default."""
     held: dict[str, Value] = {} if parts.held_us is None else {"cpu_dma_latency_us": parts.held_us}
-    return _Known(
+    return _TextFacts(
         unit_ns=unit_ns or 1000,
         parameters={"threads": threads, **held},
         left_out=(NO_INTERVAL, *(() if unit_ns else (NO_UNIT,)), NO_OPTIONS),
@@ -181,7 +181,7 @@ def _parts(path: Path, text: str, limit: int | None) -> _Text:
     return parts
 
 
-def _thread(path: Path, parts: _Text, thread: int, known: _Known) -> Imported:
+def _thread(path: Path, parts: _Text, thread: int, known: _TextFacts) -> Imported:
     bins = parts.columns[thread]
     seen = sum(bins.values())
     if "Total" in parts.summary and (total := parts.summary["Total"][thread]) != seen:
@@ -204,7 +204,7 @@ def _thread(path: Path, parts: _Text, thread: int, known: _Known) -> Imported:
 def _imported(
     thread: str,
     bins: dict[int, int],
-    known: _Known,
+    known: _TextFacts,
     printed: Statistics,
     *,
     overflow: int,
