@@ -93,9 +93,9 @@ def test_a_process_that_is_always_another_one(place, tmp_path, remarks):
     program = compiled(tmp_path, "hopper", HOPPER)
     start(link, folder, f"exec {program}")
     processes.end(link, folder, "p")
-    # Those of the target end with its first one.
-    ended = processes.list_ended(link, folder, ["p"])
-    assert (ended, len(remarks)) == ((["p"], 0) if has_groups else ([], 1)), remarks
+    # Those of the target end with its first one. Who is listed by chance between two forks is ended all the same.
+    has_ended = processes.list_ended(link, folder, ["p"]) == ["p"]
+    assert has_ended == (not remarks) and (has_ended or not has_groups), remarks
 
 
 @pytest.mark.parametrize("how", ["stopped", "traced", "frozen"])

@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._question import argument
-from rtrun.plan.quantities import read_interval_us
+from rtrun.commands._question import time_argument
+from rtrun.plan.quantities import whole_interval_us
 
 NAME = "import"
 HELP = "make run directories of 2014 logs and of what cyclictest, jitterdebugger, rtla timerlat and rteval wrote"
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start", default="", metavar="TIME", help="when they were begun, as 2026-11-23T10:00:00")
     parser.add_argument(
         "--interval",
-        type=argument(read_interval_us),
+        type=time_argument,
         metavar="TIME",
         help="between two wake-ups of a thread, as 200us, where the files do not state it",
     )
@@ -57,7 +57,11 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.targets.inspection.platform import Platform
 
     where = {name: getattr(args, name) for name in FIELDS}
-    given = Given(unit_ns=UNITS_NS[args.unit] if args.unit else None, interval_us=args.interval)
+    try:
+        interval_us = whole_interval_us(args.interval) if args.interval else None
+    except ValueError as error:
+        raise UsageError(f"--interval: {error}") from error
+    given = Given(unit_ns=UNITS_NS[args.unit] if args.unit else None, interval_us=interval_us)
     pattern = read_pattern(args.names) if args.names else None
     refused = []
     unknown: dict[str, list[str]] = {}

@@ -1,7 +1,7 @@
 """Runs that hold the same counts: the same file under another name, for two measurements hardly ever make the same."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from itertools import pairwise
 
 from rtrun.analysis.histogram import Histogram
@@ -21,15 +21,19 @@ def chance_of_same_counts(histogram: Histogram) -> float:
     return math.exp(min(0.0, log_chance))
 
 
-def copies_among(histograms: Mapping[str, Histogram]) -> dict[str, str]:
-    """Which of these runs, by name, hold the same counts as another one: each with the name of that."""
+def copies_among(histograms: Sequence[tuple[str, Histogram]]) -> dict[str, str]:
+    """Which of these runs, by name, hold the same counts as another one: each with the name of that.
+
+    A run has a histogram for each of its outputs.
+    """
     alike: dict[tuple[bytes, bytes, int, int | None], list[str]] = {}
-    for run, one in histograms.items():
-        alike.setdefault((one.values_ns.tobytes(), one.counts.tobytes(), one.overflow, one.max_ns), []).append(run)
+    for run, one in histograms:
+        if chance_of_same_counts(one) < BY_CHANCE:
+            key = (one.values_ns.tobytes(), one.counts.tobytes(), one.overflow, one.max_ns)
+            alike.setdefault(key, []).append(run)
     copies: dict[str, str] = {}
     for runs in alike.values():
-        if len(runs) > 1 and chance_of_same_counts(histograms[runs[0]]) < BY_CHANCE:
-            for first, second in pairwise(runs):
-                copies.setdefault(first, second)
-                copies[second] = first
+        for first, second in pairwise(dict.fromkeys(runs)):
+            copies.setdefault(first, second)
+            copies[second] = first
     return copies

@@ -158,10 +158,10 @@ def study(
 
 def _same_counts(digests: Sequence[JudgedDigest]) -> dict[str, str]:
     """Runs alike, of counts without order, that hold the same as another one: each with the name of that."""
-    alike: dict[str, dict[str, Histogram]] = {}
+    alike: dict[str, list[tuple[str, Histogram]]] = {}
     for one in digests:
         if one.trials is not None and one.trials.misses is None:
-            alike.setdefault(key_of(one.header.target, one), {})[one.run] = one.histogram
+            alike.setdefault(key_of(one.header.target, one), []).append((one.run, one.histogram))
     return {run: other for members in alike.values() for run, other in copies_among(members).items()}
 
 

@@ -34,11 +34,11 @@ def read_time_ns(text: object) -> int:
 INTERVAL_MAX_US = 60_000_000
 
 
-def read_interval_us(text: str) -> int:
-    """Read a whole number of microseconds from 1us to 60s. Raises ValueError."""
-    interval_us, rest = divmod(read_time_ns(text), 1000)
+def whole_interval_us(time_ns: int) -> int:
+    """A time in whole microseconds, at most 60s. Raises ValueError."""
+    interval_us, rest = divmod(time_ns, 1000)
     if rest or interval_us > INTERVAL_MAX_US:
-        raise ValueError(f"{text[:40]!r} is no whole number of microseconds up to 60s, as 200us or 1ms")
+        raise ValueError(f"{time_text(time_ns)} is no whole number of microseconds up to 60s, as 200us or 1ms")
     return interval_us
 
 

@@ -16,19 +16,25 @@ def in_bins(*counts):
 
 
 def test_three_names_of_one_file_are_copies_of_each_other():
-    found = copies_among({"a": measured(1), "b": measured(2), "c": measured(1), "d": measured(1)})
+    found = copies_among([("a", measured(1)), ("b", measured(2)), ("c", measured(1)), ("d", measured(1))])
     assert found.keys() == {"a", "c", "d"} and "b" not in found.values()
 
 
+def test_one_thread_of_several_is_enough_and_two_of_one_run_are_none():
+    found = copies_among([("a", measured(1)), ("a", measured(2)), ("b", measured(3)), ("b", measured(1))])
+    assert found == {"a": "b", "b": "a"}
+    assert copies_among([("a", measured(1)), ("a", measured(1))]) == {}
+
+
 def test_two_measurements_are_not():
-    assert copies_among({str(seed): measured(seed) for seed in range(200)}) == {}
+    assert copies_among([(str(seed), measured(seed)) for seed in range(200)]) == {}
 
 
 def test_what_a_coarse_clock_says_of_every_run_tells_nothing():
     assert chance_of_same_counts(in_bins(10_000)) == 1.0
-    assert copies_among({"a": in_bins(10_000), "b": in_bins(10_000)}) == {}
-    assert copies_among({"a": in_bins(9_990, 10), "b": in_bins(9_990, 10)}) == {}
-    assert copies_among({"a": in_bins(), "b": in_bins()}) == {}
+    assert copies_among([("a", in_bins(10_000)), ("b", in_bins(10_000))]) == {}
+    assert copies_among([("a", in_bins(9_990, 10)), ("b", in_bins(9_990, 10))]) == {}
+    assert copies_among([("a", in_bins()), ("b", in_bins())]) == {}
 
 
 @pytest.mark.parametrize("counts", [(3, 1), (40, 30, 30)])

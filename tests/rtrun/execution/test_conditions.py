@@ -15,6 +15,7 @@ from rtrun.execution import preparation
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.reading import read_run
 from rtrun.targets.errors import TargetError
+from rtrun.validity.observations import OUTPUT_BYTES
 from watching import Watching
 
 pytestmark = [pytest.mark.sshd, pytest.mark.ros]
@@ -149,7 +150,7 @@ def test_what_is_observed_may_be_as_large_as_the_run_is_long(
     wishes.will(f"await {tmp_path / 'done'}")
     found = measure_one(target, tmp_path, repetitions=repetitions, frequency_hz=frequency_hz, condition="memory")
     size = found["files"]["sampler.stdout"]["size_bytes"]
-    assert size > 16 * 1024 * 1024
+    assert size > OUTPUT_BYTES
     assert found["status"] == status and found["in_effect"]["observations"] >= looks
     if status == "ok":
         assert (found["reason"], found["refused"]) == (None, {})

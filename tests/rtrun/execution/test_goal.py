@@ -181,7 +181,8 @@ def test_what_is_left_falls_from_round_to_round():
     run_s = groups[0].expected_s + OVERHEAD_S
     first, *others = [told[0].left_s for told in board.told]
     assert first == pytest.approx(4 * groups[0].expected_s), "what lies between runs is not known yet"
-    assert others == pytest.approx([3 * run_s, 2 * run_s, run_s, 0])
+    # As long as the second boot is the shorter one, the first counts for no more than that.
+    assert others == pytest.approx([3 * run_s, 2 * run_s, 2 * run_s, 0])
     assert runs_left(groups[0], None, NEEDED, 2) == 4
 
 

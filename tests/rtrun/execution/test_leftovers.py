@@ -1,6 +1,7 @@
 """What an earlier call left of a run on the target: when it is picked up, and when it is not."""
 
 import os
+import re
 import shutil
 import subprocess
 import tempfile
@@ -111,11 +112,20 @@ def test_what_lies_beside_it_is_not_read(begin, inspect, link, folder, monkeypat
     assert resumption.list_folders(link, campaign, ["gone", "run"]) == ["run"]
     assert resumption.may_run_go_on(link, campaign, ["gone", "run"])
     assert inspect().can_be_picked_up(["suite"], None)
-    with pytest.raises(TargetError, match=f"another run is still going on: {folder}/suite; .* kill -- -[0-9]+"):
-        resumption.check_idle(link)
+    # Its group is told once it has joined that.
+    while "kill --" not in (told := busy(link)):
+        assert f"another run is still going on: {folder}/suite; " in told
+    assert re.search(r"kill -- -[0-9]+$", told)
     processes.give_up(link, remote)
     resumption.check_idle(link)
     assert not folder.exists()
+
+
+def busy(link):
+    """Why the target is not idle."""
+    with pytest.raises(TargetError) as caught:
+        resumption.check_idle(link)
+    return str(caught.value)
 
 
 def test_a_build_of_suites_is_no_idle_target(target, link):

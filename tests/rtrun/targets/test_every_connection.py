@@ -27,7 +27,7 @@ def test_failure_names_the_command_and_what_it_said(connection):
 
 
 def test_much_on_all_three_streams(connection):
-    text = "x" * 3_000_000
+    text = "x" * 900_000
     done = connection.run(["sh", "-c", "tee /dev/stderr"], stdin=text)
     assert (done.stdout, done.stderr) == (text, text)
     assert connection.run(["sh", "-c", "exec <&-; echo there"], stdin=text).stdout == "there\n", "it reads nothing"

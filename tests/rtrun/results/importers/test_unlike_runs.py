@@ -56,8 +56,8 @@ def moved(data, number):
         first, second = sorted(bins, key=lambda value: bins[value])[-2:]
         bins[first] -= number
         bins[second] += number
-        total = sum(int(value) * count for value, count in bins.items())
-        thread["avg"] = round(total / sum(bins.values()), 2)
+        moved_by = number * (int(second) - int(first)) / thread["cycles"]
+        thread["avg"] = round(thread["avg"] + moved_by, 2)
 
 
 def groups(tmp_path):
