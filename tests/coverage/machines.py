@@ -5,7 +5,7 @@ its user does. Its files are written as the runner leaves them, and ``rtrun gate
 process. The truth is computed from how the machine was drawn, by nothing of the project.
 
     python tests/coverage/machines.py --hours 8              # goes on after a stop; at the end writes docs/coverage.md
-    python tests/coverage/machines.py --seed 4711            # one machine again: all that it is, and what is said of it
+    python tests/coverage/machines.py --seed 4711            # one machine again: what it is, and the answers
     python tests/coverage/machines.py --hours 0.1 --only climb
 
 Who writes here reads neither how the verdict is computed nor how it was mended.
@@ -138,7 +138,7 @@ def _fed(seeds: Iterator[int]) -> Iterator[int]:
 
 
 def print_machine(seed: int) -> int:
-    """Draw one machine again, print what it is and what is said of it. 1 where that is false."""
+    """Draw one machine again, print what it is and the answers. 1 where one is false."""
     folder = Path(tempfile.mkdtemp(prefix="rt-tests-machine-", dir=SCRATCH))
     try:
         machine = Machine(seed)

@@ -67,8 +67,8 @@ class Verdict:
     if misses go on at the rate seen, None where no number is.
 
     ``lost`` are attempts of which nothing is judged, beside ``runs`` that are, a sentence each; where there are some,
-    ``units_missing`` units (``unit``: boots, or runs of one boot) more without such a one would outweigh them, None
-    where no number would. ``unseen_share`` of the time of an observation was not seen,
+    it takes ``units_missing`` more units (``unit``: boots, or runs of one boot) that end well to outweigh them, None
+    where no number does. ``unseen_share`` of the time of an observation was not seen,
     ``hidden_share`` because of load, which counts as late; ``lower`` and ``upper`` have both in them. ``unlike`` says
     what may be otherwise than all that was measured.
     """
@@ -261,7 +261,7 @@ def _late_share(units: int, question: Question, measured: Circumstances) -> floa
 
 
 def _units_missing(units: int, question: Question, measured: Circumstances) -> int | None:
-    """How many more units without such a one leave half of the probability to what was measured."""
+    """How many more units that end well leave half of the probability to what was measured."""
     lost = len(measured.lost)
     most = question.probability / 2 - measured.hidden_share
     if not lost:

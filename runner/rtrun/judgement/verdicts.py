@@ -91,7 +91,7 @@ def hidden_in_words(verdict: Verdict) -> str:
     if verdict.lost:
         total = verdict.runs + len(verdict.lost)
         more = verdict.units_missing
-        outweighed = "" if not more else f"; {counted(more, f'more {verdict.unit}')} without one outweigh that"
+        outweighed = "" if not more else f"; it takes {counted(more, f'more {verdict.unit}')} to outweigh that"
         parts.append(
             f"{len(verdict.lost)} of {counted(total, 'attempt')} gave no values ({listed(verdict.lost, _LOST_SHOWN)}) "
             f"and count as late{outweighed}"

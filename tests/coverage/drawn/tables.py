@@ -54,7 +54,7 @@ class Share:
 
 
 class Tables:
-    """All that is said of machines that were drawn and asked about."""
+    """The answers about all machines that were drawn."""
 
     def __init__(self, lines: Iterable[Line]) -> None:
         self.lines = list(lines)

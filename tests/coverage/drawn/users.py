@@ -266,7 +266,7 @@ def _histogram(threads: Sequence[np.ndarray]) -> str:
 
 
 def show(machine: Machine, folder: Path) -> None:
-    """Print what the command line says of the results in a folder."""
+    """Print what the command line prints about the results in a folder."""
     for command in ("verdict", "gate"):
         status, out, err = call(
             command, str(folder / "results"), "--deadline", "400us", "--probability", f"{machine.plan.probability:g}"
