@@ -72,11 +72,22 @@ def observed(
 
 
 def left() -> list[str]:
-    """What observations of this PID namespace have in this machine's trace. Tests of them run one after the other."""
-    ours = re.compile(rf"rtrun[-_]observe[-_]{Path('/proc/self/ns/pid').stat().st_ino}_[0-9]+_[0-9]+", re.ASCII)
+    """What observations of this test process have in this machine's trace; those of other workers have more there."""
+    ours = re.compile(rf"rtrun[-_]observe[-_]{Path('/proc/self/ns/pid').stat().st_ino}_([0-9]+)_[0-9]+", re.ASCII)
     probes = (line.partition(" ")[0] for line in (TRACING / "uprobe_events").read_text().splitlines())
     instances = (path.name for path in TRACING.glob("instances/*"))
-    return sorted({name for name in (*probes, *instances) if ours.search(name)})
+    found = {name: match[1] for name in (*probes, *instances) if (match := ours.search(name))}
+    return sorted(name for name, pid in found.items() if not _is_of_another_worker(pid))
+
+
+def _is_of_another_worker(pid: str) -> bool:
+    """Whether what takes the probes off lives, and was started by another worker on this machine itself."""
+    try:
+        environment = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
+    except OSError:
+        return False
+    workers = {each for each in environment if each.startswith(b"PYTEST_XDIST_WORKER=")}
+    return bool(workers - {f"PYTEST_XDIST_WORKER={os.environ.get('PYTEST_XDIST_WORKER', '')}".encode()})
 
 
 def wait_until_nothing_is_left() -> None:
