@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""A target in place of watch_probes.sh that needs no kernel trace: a message in each of five rounds a second.
+"""A target instead of watch_probes.sh that needs no kernel trace: a message in each of five rounds a second.
 
-steady_observer.py [AT WORD]    in round AT it does what WORD says; with `end` in place of AT, when it is told to end
+steady_observer.py [AT WORD]    in round AT it does what WORD says; with `end` instead of AT, when it is told to end
 """
 
 import os

@@ -103,7 +103,7 @@ def resolve(path: Path) -> Path:
 
 
 def _served_by_others(trusted: set[int]) -> set[str]:
-    """Where FUSE file systems of users who are not trusted are mounted: they choose what is said of their files."""
+    """Where FUSE file systems of users who are not trusted are mounted: they choose what is reported of their files."""
     served = set()
     for line in Path("/proc/self/mountinfo").read_bytes().splitlines():
         mount, _, system = line.partition(b" - ")

@@ -24,6 +24,7 @@ from rtrun.analysis.trials import ENOUGH_MISSES, Trials
 from rtrun.analysis.units import Cluster, CountedRun, boots_of, count_alike, sums
 from rtrun.plan.question import Question, unlike_share
 
+HOURS = 24  # of a day
 # Lengths of bursts for which a proof says how much longer it would have to measure.
 BURSTS = (20, 50)
 
@@ -41,9 +42,9 @@ class Answer(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Unlike:
-    """Units of another kind, of which none was among those `measured`: the largest `share` of all that they may be.
+    """Units of another kind may exist, though none was among those `measured`: at most this `share` of all units.
 
-    It holds at the confidence asked for. Of the 24 hours of a day it is the share in which nothing was measured.
+    The share holds at the confidence asked for. Of the hours of a day it is the part in which nothing was measured.
     """
 
     unit: Literal["run", "boot", "board", "hour"]
@@ -165,10 +166,12 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     n, misses = math.floor(sum(each.n for each in alike)), sum(each.misses for each in alike)
     constancy = examine_constancy(join_boots(runs), probability=probability, confidence=confidence)
     effect, assumes = _effect(runs, alike, constancy.clusters, question, measured.measurements_per_event)
+    boots_known = len({run.boot for run in runs if run.boot}) or 1
     boots = len({run.boot for run in runs}) if all(run.boot for run in runs) else None
+    boards = len({run.board for run in runs})
     names = {run.run or str(index) for index, run in enumerate(runs)}
     unit: Literal["boot", "run"] = "boot" if boots is not None and boots > 1 else "run"
-    units = boots if boots is not None and boots > 1 else len(names)
+    units = boots_known if unit == "boot" else len(names)
     lower, upper = anytime_interval(misses / effect, n / effect, _shared(confidence, measured))
     if unclear := sum(run.unclear for run in runs):
         # What may have met the deadline counts as late for a proof, and as in time for a refutation.
@@ -180,7 +183,6 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     lower, upper = lower * (1 - measured.unseen_share), min(1.0, upper + late_share)
     left = replace(question, probability=question.probability - late_share, confidence=_shared(confidence, measured))
     covered = longest_burst(misses, n, effect, left) if left.probability > 0 else 0.0
-    boots_known = len({run.boot for run in runs if run.boot}) or 1
     refused = _refusal(question, measured)
     answer = Answer.NEEDS_MORE
     if refused:
@@ -211,7 +213,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         n_effective=n / effect,
         boots=boots,
         boots_known=boots_known,
-        boards=len({run.board for run in runs}),
+        boards=boards,
         longest_burst=covered,
         further_for_bursts=_further_for_bursts(misses, n, effect, question) if is_proven else (),
         further=further,
@@ -225,7 +227,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         units_missing=_units_missing(units, question, measured),
         unseen_share=measured.unseen_share,
         hidden_share=measured.hidden_share,
-        unlike=_unlike(len(names), boots, len({run.board for run in runs}), measured, question),
+        unlike=_unlike(len(names), boots, boards, measured, question),
         change=constancy.change,
         refused=refused,
     )
@@ -244,7 +246,7 @@ def _unlike(
         units.insert(0, ("run", runs))
     found = [Unlike(unit=unit, measured=n, share=unlike_share(n, question.confidence)) for unit, n in units]
     if measured.hours is not None:
-        found.append(Unlike(unit="hour", measured=measured.hours, share=1 - measured.hours / 24))
+        found.append(Unlike(unit="hour", measured=measured.hours, share=1 - measured.hours / HOURS))
     return tuple(found)
 
 

@@ -3,9 +3,8 @@
 from collections.abc import Iterable
 from datetime import datetime, timedelta
 
+from rtrun.analysis.deadline import HOURS
 from rtrun.results.record import RunRecord, moment
-
-HOURS = 24
 
 
 def hours_measured(records: Iterable[RunRecord]) -> int | None:

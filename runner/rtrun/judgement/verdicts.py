@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from rtfiles.output import counted, listed, printable
 from rtfiles.quantities import duration, grouped, percent, time
-from rtrun.analysis.deadline import Answer, Unlike, Verdict
+from rtrun.analysis.deadline import HOURS, Answer, Unlike, Verdict
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
 from rtrun.plan.question import NONE_TOLERATED
@@ -145,8 +145,7 @@ def _scope(verdict: Verdict) -> list[str]:
 def _unlike_in_words(unlike: Unlike) -> str:
     """What may be otherwise than what was measured; of boots, and of a single run or board, others say it."""
     if unlike.unit == "hour":
-        hours = 24
-        return f"measured in {unlike.measured} of the {hours} hours of a day" if unlike.measured < hours else ""
+        return f"measured in {unlike.measured} of the {HOURS} hours of a day" if unlike.measured < HOURS else ""
     if unlike.unit == "boot" or unlike.measured < 2:
         return ""
     return f"{unlike.unit}s of another kind, of which none was measured, may be {percent(unlike.share)} of all"

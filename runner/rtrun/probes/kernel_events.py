@@ -1,4 +1,4 @@
-"""The kernel's own events as they came, in few bytes each: of most of them none of the values is ever asked for."""
+"""The kernel's own events as they came, in few bytes each: nobody ever asks for the values of most of them."""
 
 from array import array
 from collections.abc import Iterator, Sequence

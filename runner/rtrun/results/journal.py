@@ -137,19 +137,24 @@ class Journal:
         self.database.close()
 
 
-def place_of_begun(folder: Path, target: str) -> str | None:
-    """The place of a farm where a target was last, if a run was begun there and not closed; None where nobody knows."""
+def _events(folder: Path) -> list[tuple[Any, Any, Any]] | None:
+    """Run, state and reason of all events, read without a lock; None where there is no journal that can be read."""
     path = folder / NAME
     if not path.is_file():
         return None
     try:
         with contextlib.closing(sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)) as database:
-            rows = database.execute("SELECT run, what, reason FROM event ORDER BY rowid").fetchall()
+            return database.execute("SELECT run, what, reason FROM event ORDER BY rowid").fetchall()
     except sqlite3.Error:
         return None  # whoever opens it to go on says what is wrong
+
+
+def place_of_begun(folder: Path, target: str) -> str | None:
+    """The place of a farm where a target was last, if a run was begun there and not closed; None where nobody knows."""
+    rows = _events(folder)
     place: str | None = None
     begun: set[str] = set()
-    for run, what, reason in rows:
+    for run, what, reason in rows or ():
         if what == _AT and isinstance(reason, str) and reason.startswith(f"{target} "):
             place, begun = reason.partition(" ")[2], set()
         elif what == RunState.CLOSED:
@@ -161,17 +166,16 @@ def place_of_begun(folder: Path, target: str) -> str | None:
 
 def closings(folder: Path) -> dict[str, int] | None:
     """How often each run was closed, by the journal of a results folder; None without one that can be read."""
-    path = folder / NAME
-    if not path.is_file():
-        return None
-    try:
-        with contextlib.closing(sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)) as database:
-            rows = database.execute("SELECT run, reason FROM event WHERE what = ?", (RunState.CLOSED,)).fetchall()
-    except sqlite3.Error:
+    rows = _events(folder)
+    if rows is None:
         return None
     # A restart of the target after its end leaves a run closed as it is, and is noted with another reason.
     statuses = tuple(RunStatus)
-    closed = (run for run, reason in rows if isinstance(reason, str) and reason.startswith(statuses))
+    closed = (
+        run
+        for run, what, reason in rows
+        if what == RunState.CLOSED and isinstance(reason, str) and reason.startswith(statuses)
+    )
     return dict(Counter(run for run in closed if isinstance(run, str) and _RUN.fullmatch(run)))
 
 

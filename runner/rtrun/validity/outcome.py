@@ -28,8 +28,6 @@ from rtrun.validity.observations import (
     while_measuring,
 )
 
-_UNSEEN = "nobody saw what was in effect to the end"
-_DISK_FULL = "the disk of the target was full (df -h)"
 LISTED_MAX = 1000  # The suites list so many indices of each kind at most.
 
 
@@ -91,23 +89,23 @@ def judge(
     except UsageError as error:
         wrong = str(error)
     cut = refused.get(SAMPLER_OUTPUT)
-    if ended_early.get(SAMPLER) == DISK_FULL:
-        cut = _DISK_FULL
+    if is_disk_full := ended_early.get(SAMPLER) == DISK_FULL:
+        cut = "the disk of the target was full (df -h)"
         ended_early = {name: exit_status for name, exit_status in ended_early.items() if name != SAMPLER}
     # What is seen to be wrong in the part that was taken comes first; that nobody saw anything says too little.
+    unrelated: UnrelatedEnd | None = None
     if cut and (wrong is None or not while_measuring(observations, is_attached=is_attached)):
-        wrong = f"{_UNSEEN}: {cut}"
+        wrong = f"nobody saw what was in effect to the end: {cut}"
+        unrelated = UnrelatedEnd.DISK_FULL if is_disk_full else None
     if status in (RunStatus.OK, RunStatus.INCOMPLETE):
         if ended_early:
             name, exit_status = next(iter(ended_early.items()))
             how = (
                 f"with exit status {exit_status}: {_last_word(folder, name)}" if exit_status else "killed from outside"
             )
-            wrong = f"condition {run.condition}: {name} ended in the middle of the run, {how}"
+            wrong, unrelated = f"condition {run.condition}: {name} ended in the middle of the run, {how}", None
         if wrong is not None:
-            status, reason, unrelated_end = RunStatus.INVALID, wrong, None
-        if wrong == f"{_UNSEEN}: {_DISK_FULL}":
-            unrelated_end = UnrelatedEnd.DISK_FULL
+            status, reason, unrelated_end = RunStatus.INVALID, wrong, unrelated
     states = requirements.measuring_threads(run, observations, records)
     in_effect = summarize(observations, states, is_attached=is_attached)
     return RunOutcome(

@@ -184,10 +184,18 @@ class Edge(OfLoops):
 
 
 @dataclass(frozen=True)
-class Leak(OfLoops):
-    """It climbs in each run, by so much in the logarithm; a process that lives a quarter longer is asked about."""
+class Growing(OfLoops):
+    """It climbs by so much in the logarithm."""
 
     climb: float
+
+    def is_visible(self, values: list[float], places: list[Place]) -> bool:
+        return self.climb > 4
+
+
+@dataclass(frozen=True)
+class Leak(Growing):
+    """It climbs in each run; a process that lives a quarter longer is asked about."""
 
     def at(self, place: Place, rng: Rng, length: int) -> Floats | float:
         return np.exp(self.climb * (np.arange(length) / length - 1))
@@ -195,24 +203,16 @@ class Leak(OfLoops):
     def population(self, moments: Moments, rng: Rng) -> Floats | float:
         return np.exp(self.climb * strata(rng, moments.loop.size) / 4)
 
-    def is_visible(self, values: list[float], places: list[Place]) -> bool:
-        return self.climb > 4
-
 
 @dataclass(frozen=True)
-class Ramp(OfLoops):
+class Ramp(Growing):
     """It climbs from the first loop of the campaign to the last; a twentieth of that time is asked about, after it."""
-
-    climb: float
 
     def at(self, place: Place, rng: Rng, length: int) -> Floats | float:
         return np.exp(self.climb * ((place.before + np.arange(length)) / place.total - 1))
 
     def population(self, moments: Moments, rng: Rng) -> Floats | float:
         return np.exp(self.climb * strata(rng, moments.loop.size) * 0.05)
-
-    def is_visible(self, values: list[float], places: list[Place]) -> bool:
-        return self.climb > 4
 
 
 @dataclass(frozen=True)

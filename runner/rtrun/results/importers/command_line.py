@@ -28,7 +28,7 @@ _Takes = Literal["nothing", "value", "maybe"]
 class _Option:
     """An option of cyclictest: its letter, whether it takes a value, and whether it is `telling`.
 
-    Such a one changes the measurement and is no parameter of ours. Threads and their CPUs are those that the file
+    A telling option changes the measurement and is no parameter of ours. Threads and their CPUs are those that the file
     states, whatever was asked for.
     """
 
