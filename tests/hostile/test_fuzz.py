@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hostile import readers
+from rtfiles.errors import UsageError
 from rtrun.cli import main
 
 
@@ -84,3 +85,15 @@ def test_a_time_beyond_its_limit_is_refused_where_it_is_read(tmp_path, capsys, r
     rows[7, 0] = value
     np.save(npy, rows)
     assert f"{npy}: a time beyond" in refused_by(tmp_path, "show", capsys)
+
+
+def test_times_of_a_graph_lie_after_the_start_of_the_target(tmp_path):
+    """What lies between two of its times is written as one: of times on both sides of zero it was none."""
+    files = readers.READERS["tables"].seeds[0]
+    for name, text in files.items():
+        (tmp_path / name).write_bytes(text)
+    rows = np.load(tmp_path / "b-0.npy")
+    rows[0, 1] = -(10**18)
+    np.save(tmp_path / "b-0.npy", rows)
+    with pytest.raises(UsageError, match=r"b-0.npy: a time before the target started cannot be"):
+        readers.READERS["tables"].read(tmp_path)

@@ -30,6 +30,13 @@ def check_times(path: Path, *columns: Int64s) -> None:
                 raise UsageError(f"{path}: a time beyond {TIME_MAX_NS} ns cannot be")
 
 
+def check_uptimes(path: Path, *columns: Int64s) -> None:
+    """Times of a clock that counts from the start of the target: what lies between two of them is a time, too."""
+    check_times(path, *columns)
+    if any(column.size and int(column.min()) < 0 for column in columns):
+        raise UsageError(f"{path}: a time before the target started cannot be")
+
+
 def check_wall_times(path: Path, *columns: Int64s) -> None:
     """Times of a clock that may count from 1970, as ROS time does."""
     for column in columns:

@@ -13,7 +13,7 @@ from rtfiles.config import read_json
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.output import HostRecord
-from rtrun.kinds.rows import check_times
+from rtrun.kinds.rows import check_uptimes
 from rtrun.plan.topology.planning import WARM_UP_NS
 from rtrun.plan.topology.rates import period_points
 from rtrun.plan.topology.topology import Topology, TopologyNode
@@ -108,7 +108,7 @@ def _read_node(folder: Path, topology: Topology, node: TopologyNode, hosts: Mapp
         number = "no activations" if told is None else f"{told.activations} activations"
         raise UsageError(f"{path}: {len(rows)} rows, the process tells of {number}")
     release, begin, done, end, cpu = (np.ascontiguousarray(rows[:, place]) for place in range(len(ACTIVATION)))
-    check_times(path, release, begin, done, end, cpu)
+    check_uptimes(path, release, begin, done, end, cpu)
     if _is_backwards(release, begin, done, end):
         raise UsageError(f"{path}: an activation begins before it is due or before the one before has ended")
     first, skipped = int(np.searchsorted(release, host.start_ns + WARM_UP_NS)), 0
@@ -151,7 +151,7 @@ def _read_hops(
         path = folder / f"{table_names(node)[number + 1]}.npy"
         rows = read_rows(path, RECEPTION)
         seq, publication, reception, taken = (np.ascontiguousarray(rows[:, place]) for place in range(len(RECEPTION)))
-        check_times(path, publication, reception)
+        check_uptimes(path, publication, reception)
         publisher = topology.publisher[topic].name
         sent = nodes[publisher].release_ns.size
         _check_range(path, "seq", seq, 0, sent)
