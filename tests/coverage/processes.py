@@ -97,8 +97,13 @@ def late_regime(n: int, rng: Rng, *, p: float, part: float) -> Int64s:
 
 
 def rising(n: int, rng: Rng) -> Int64s:
-    """No miss, but values grow by half from the first loop to the last."""
-    return (quiet(n, rng) * np.linspace(1.0, 1.5, n)).astype(np.int64)
+    """No miss, but values grow by half from the first loop to the last, up to three quarters of the deadline."""
+    return (quiet(n, rng) * np.linspace(2.0, 3.0, n)).astype(np.int64)
+
+
+def around(middle_ns: Int64s | float, n: int, rng: Rng) -> Int64s:
+    """Values within a few us of a middle, one or (n,)."""
+    return (middle_ns + 1000 * rng.normal(size=n)).astype(np.int64)
 
 
 def regimes(pieces: int, n: int, rates: Callable[[int], float], rng: Rng) -> list[Int64s]:

@@ -5,7 +5,7 @@ suit the method: nothing in a sample but the misses hints at bursts, boots or a 
 """
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -30,6 +30,7 @@ from rtrun.analysis.further import proves, smallest
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.intervals import anytime_upper, clopper_pearson
 from rtrun.analysis.layers import attribute
+from rtrun.analysis.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.analysis.units import CountedRun
 from rtrun.judgement import study as studies
@@ -160,6 +161,26 @@ def proven_at_any_look(looks: int, n: int, rng: Rng) -> bool:
 def proven_in_pieces(number: int, n: int, rates: Callable[[int], float], one_boot: bool, rng: Rng) -> bool:
     runs = processes.regimes(number, n, rates, rng)
     return verdict_on(runs, one_boot=one_boot).answer == Answer.PROVEN
+
+
+def proven_of_climbing_boots(step_us: float, rng: Rng) -> bool:
+    """PROVEN from ten boots, each slower than the last, the last one just below the deadline."""
+    runs = [processes.around(394_000 - 1000 * step_us * (9 - boot), 2000, rng) for boot in range(10)]
+    return verdict_on(runs, one_boot=False).answer == Answer.PROVEN
+
+
+def proven_of_leaks(boots: int, each: int, rng: Rng) -> bool:
+    """PROVEN from runs within each of which values climb from 100 to 380 us: the process restarts for each."""
+    runs = [processes.around(np.linspace(100_000, 380_000, 5000), 5000, rng) for _ in range(boots * each)]
+    trials = [trials_of(values, k, str(k // each)) for k, values in enumerate(runs)]
+    return judged(trials).answer == Answer.PROVEN
+
+
+def changes_in_what_stays_the_same(process: processes.Process, runs: int, boots: int, rng: Rng) -> bool:
+    """A change is seen in runs of boots that are lognormal (sd 0.3) at a tenth of P, where the order means nothing."""
+    rates = P / 10 * np.exp(rng.normal(-0.045, 0.3, boots))
+    trials = [trials_of(process(4000, rates[k * boots // runs], rng), k, str(k * boots // runs)) for k in range(runs)]
+    return judged(trials).change is not None
 
 
 def proven_in_rounds(turns: int, rate: float, regular: bool, rng: Rng) -> bool:
@@ -348,6 +369,10 @@ def _never_between(*_: object) -> float:
     return 0.0
 
 
+def _no_changes(*_: object, **__: object) -> Iterator[Change]:
+    return iter(())
+
+
 _UNEXAMINED = (deadline, "examine_constancy", lambda *_, **__: Constancy(change=None))
 
 
@@ -445,6 +470,31 @@ ROWS = [
     Row(
         name="values rise by half during the run, n = 1e5, no miss yet",
         draw=partial(proven, partial(processes.rising, 100_000)), at_most=5.0, quick=60, remedy=_UNEXAMINED,
+    ),
+    *(
+        Row(
+            name=f"ten boots, each {step:g} us slower than the last, which ends at 394 of 400 us",
+            draw=partial(proven_of_climbing_boots, step), at_most=5.0, quick=20 if step == 25 else 0,
+            reported="100" if step == 25 else "", remedy=(constancy, "changes_between", _no_changes),
+        )
+        for step in (1, 25, 40)
+    ),
+    *(
+        Row(
+            name=f"a leak within each run, {boots * each} runs on {boots} boots, from 100 to 380 of 400 us",
+            draw=partial(proven_of_leaks, boots, each), at_most=5.0, quick=20 if each == 5 else 0, long=200,
+            reported="100" if each == 5 else "",
+        )
+        for boots, each in ((6, 5), (1, 30), (30, 1))
+    ),
+    *(
+        Row(
+            name=f"{name}, {runs} runs on {boots} boots, a tenth of P", event="a change is seen",
+            draw=partial(changes_in_what_stays_the_same, processes.DEPENDENT[name], runs, boots), at_most=12.0,
+            quick=60 if name == "independent" and boots == 5 else 0, long=400,
+        )
+        for name in ("independent", "AR(0.9)", "load that comes and goes")
+        for runs, boots in ((1, 1), (10, 1), (5, 5), (20, 10))
     ),
     *(
         Row(

@@ -22,8 +22,18 @@ from rtrun.analysis.stationarity import (
     find_visits,
     test_of_order,
 )
+from rtrun.analysis.trends import (
+    SIGNIFICANT_OF_LEVELS,
+    Climb,
+    Unit,
+    changes_between,
+    changes_laid_over,
+    find_climb,
+    runs_of,
+)
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials, high_values
 
+_LEVELS = (SIGNIFICANT_OF_MISSES, SIGNIFICANT, SIGNIFICANT_OF_LEVELS)
 # A level that was left and entered again so often is part of the process.
 RETURNS = 5
 
@@ -118,27 +128,55 @@ def high_limit(trials: Sequence[Trials]) -> int:
     return max((int(run.high_ns.min()) for run in trials if run.high_ns.size), default=0)
 
 
-def examine_constancy(boots: Sequence[Boot], *, probability: float, confidence: float) -> Constancy:
-    """Look for changes within boots, from boot to boot, and for a boot that misses too often on its own."""
+def examine_constancy(
+    boots: Sequence[Boot], *, probability: float, confidence: float, deadline_ns: int | None = None
+) -> Constancy:
+    """Look for changes within runs, from run to run and from boot to boot, and for a boot that misses too often alone.
+
+    Heights change nothing while twice the highest one is below the deadline: misses alone are looked at then.
+    """
+    worst_ns = max((run.worst_ns for boot in boots for run in boot.trials if run.worst_ns is not None), default=0)
+    of_heights = deadline_ns is None or 2 * worst_ns >= deadline_ns
     clusters: list[tuple[int, int]] = []
     within: list[Change] = []
+    runs: list[list[Unit]] = []
     for boot in boots:
-        visits, changes = _within(boot)
+        visits, changes = _within(boot, of_heights)
         within += changes
         if visits is not None:
             clusters += _turns(boot, visits)
+        else:
+            # Beside a load that comes and goes runs are not independent.
+            runs.append(runs_of(boot.trials))
+    levels = (
+        within,
+        [*changes_laid_over([run for of_boot in runs for run in of_boot], of_heights=of_heights)],
+        [*changes_between(runs, "runs", of_heights=of_heights)],
+        [*changes_between(_by_board(boots), "boots", of_heights=of_heights)],
+    )
     # Each kind of test has an error rate of its own: many tests of one kind must not hide what another one sees.
     families = (
-        *(
-            [change for change in found if change.significant == level]
-            for found in (within, _between(boots))
-            for level in (SIGNIFICANT_OF_MISSES, SIGNIFICANT)
-        ),
+        *([change for change in found if change.significant == at] for found in levels for at in _LEVELS),
         _alone(boots, probability, confidence),
     )
     seen = [change for family in families if (change := _strongest(family)) is not None]
     strongest = min(seen, key=lambda change: change.p_value / change.significant, default=None)
     return Constancy(change=strongest, clusters=tuple(clusters))
+
+
+def find_climbs(boots: Sequence[Boot], deadline_ns: int) -> tuple[Climb, ...]:
+    """How the levels of the boots of each board go on, and those of the runs of each boot, as far as there are some."""
+    of_boots = find_climb("boot", _by_board(boots), deadline_ns)
+    of_runs = find_climb("run", [runs_of(boot.trials) for boot in boots], deadline_ns)
+    return tuple(climb for climb in (of_boots, of_runs) if climb is not None)
+
+
+def _by_board(boots: Sequence[Boot]) -> list[list[Unit]]:
+    """The boots of each board, in the order of time."""
+    boards: dict[str, list[Unit]] = {}
+    for boot in boots:
+        boards.setdefault(boot.board, []).append(boot.trials)
+    return [*boards.values()]
 
 
 def _strongest(changes: Sequence[Change]) -> Change | None:
@@ -148,7 +186,7 @@ def _strongest(changes: Sequence[Change]) -> Change | None:
     return strongest if seen else None
 
 
-def _within(boot: Boot) -> tuple[Visits | None, list[Change]]:
+def _within(boot: Boot, of_heights: bool) -> tuple[Visits | None, list[Change]]:
     """The signs of change in the joined runs of a boot, and the visits of a level that came back often enough.
 
     Such a level is judged by its visits: whether they stayed the same.
@@ -157,7 +195,7 @@ def _within(boot: Boot) -> tuple[Visits | None, list[Change]]:
     seen: Visits | None = None
     of_misses = (boot.missed_at, boot.missed_at, "misses", SIGNIFICANT_OF_MISSES)
     of_high_values = (boot.highest_at, boot.high_at, "high values", SIGNIFICANT)
-    for tested, places, events, significant in (of_misses, of_high_values):
+    for tested, places, events, significant in (of_misses, of_high_values)[: 1 + of_heights]:
         change = None if tested is None else find_change(tested, boot.loops, events, significant)
         if change is None or places is None:
             continue
@@ -187,26 +225,6 @@ def _turns(boot: Boot, visits: Visits) -> list[tuple[int, int]]:
     counts = count_until(boot.missed_at, ends) if boot.missed_at is not None else 0 * ends
     lengths = np.diff(ends, prepend=0)
     return [(int(length), round(stride * count)) for length, count in zip(lengths, counts, strict=True)]
-
-
-def _between(boots: Sequence[Boot]) -> list[Change]:
-    """Whether the first or last boots of a board are worse than chance lets them be; a test for each kind of event."""
-    changes = []
-    for board in dict.fromkeys(boot.board for boot in boots):
-        ordered = [boot for boot in boots if boot.board == board]
-        if len(ordered) < 2:
-            continue
-        limit = high_limit([run for boot in ordered for run in boot.trials])
-        high = [sum(np.count_nonzero(run.high_ns >= limit) for run in boot.trials) for boot in ordered]
-        for counts, events, significant in (
-            ([boot.misses for boot in ordered], "misses", SIGNIFICANT_OF_MISSES),
-            (high, "high values", SIGNIFICANT),
-        ):
-            if any(counts):
-                p_value, text = test_of_order(np.array(counts), np.array([boot.measured for boot in ordered]))
-                words = f"{text} boots"
-                changes.append(Change(p_value=p_value, significant=significant, text=f"{events}: {words}"))
-    return changes
 
 
 def _alone(boots: Sequence[Boot], probability: float, confidence: float) -> list[Change]:

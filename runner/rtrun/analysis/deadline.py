@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from rtrun.analysis.constancy import examine_constancy, join_boots
+from rtrun.analysis.constancy import examine_constancy, find_climbs, join_boots
 from rtrun.analysis.dependence import Events, cluster_effect, design_effect, effect_of_few, pool
 from rtrun.analysis.distributions import chi_squared_above, normal_quantile, student_quantile
 from rtrun.analysis.further import (
@@ -20,6 +20,7 @@ from rtrun.analysis.further import (
 )
 from rtrun.analysis.intervals import anytime_interval, anytime_lower, anytime_upper
 from rtrun.analysis.stationarity import SIGNIFICANT, Change
+from rtrun.analysis.trends import Climb
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials
 from rtrun.analysis.units import Cluster, CountedRun, boots_of, count_alike, sums
 from rtrun.plan.question import Question, unlike_share
@@ -71,7 +72,8 @@ class Verdict:
     it takes ``units_missing`` more units (``unit``: boots, or runs of one boot) that end well to outweigh them, None
     where no number does. ``unseen_share`` of the time of an observation was not seen,
     ``hidden_share`` because of load, which counts as late; ``lower`` and ``upper`` have both in them. ``unlike`` says
-    what may be otherwise than all that was measured.
+    what may be otherwise than all that was measured, ``climbs`` which climb from boot to boot and from run to run would
+    have been seen.
     """
 
     answer: Answer
@@ -102,6 +104,7 @@ class Verdict:
     unseen_share: float = 0.0
     hidden_share: float = 0.0
     unlike: tuple[Unlike, ...] = ()
+    climbs: tuple[Climb, ...] = ()
     change: Change | None = None
     refused: str | None = None
 
@@ -164,7 +167,10 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     late, absent = sum(run.late for run in runs), sum(run.absent for run in runs)
     alike = count_alike(runs)
     n, misses = math.floor(sum(each.n for each in alike)), sum(each.misses for each in alike)
-    constancy = examine_constancy(join_boots(runs), probability=probability, confidence=confidence)
+    joined = join_boots(runs)
+    constancy = examine_constancy(
+        joined, probability=probability, confidence=confidence, deadline_ns=question.deadline_ns
+    )
     effect, assumes = _effect(runs, alike, constancy.clusters, question, measured.measurements_per_event)
     boots_known = len({run.boot for run in runs if run.boot}) or 1
     boots = len({run.boot for run in runs}) if all(run.boot for run in runs) else None
@@ -228,6 +234,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         unseen_share=measured.unseen_share,
         hidden_share=measured.hidden_share,
         unlike=_unlike(len(names), boots, boards, measured, question),
+        climbs=find_climbs(joined, question.deadline_ns),
         change=constancy.change,
         refused=refused,
     )

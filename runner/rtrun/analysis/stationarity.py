@@ -6,6 +6,7 @@ import numpy as np
 
 from rtrun.analysis.distributions import binomial_above, chi_squared_above
 from rtrun.analysis.histogram import Int64s
+from rtrun.analysis.order import Floats, find_order
 
 # Below this chance something counts as a change. Few misses tell little, so for them the chance may be higher.
 SIGNIFICANT = 0.01
@@ -13,8 +14,6 @@ SIGNIFICANT_OF_MISSES = 0.05
 PARTS = 8
 # Events are also compared from piece to piece. A piece is longer than any burst, so a change is not taken for a burst.
 PIECES = 64
-SEED = 20140715
-_PERMUTATIONS = 999
 # Cochran (1954): the chi-squared test needs about five expected events in each part.
 _LEAST_FOR_PARTS = 5 * PARTS
 
@@ -148,29 +147,23 @@ def find_visits(positions: Int64s, loops: int) -> Visits:
     return Visits(starts=np.array(starts, np.int64))
 
 
+def beyond_even(counts: Int64s, loops: Int64s) -> Floats:
+    """How many more events than at an even rate each unit has, (m,), in standard deviations of independent ones."""
+    return np.asarray((counts - counts.sum() * (loops / loops.sum())) / np.sqrt(np.maximum(loops, 1)))
+
+
 def test_of_order(counts: Int64s, loops: Int64s) -> tuple[float, str]:
-    """P-value of the test that the first or the last units have no more events than others, and the strongest sign.
+    """P-value of the test that the order of units does not matter to their events, and the strongest sign in words.
 
-    `counts` and `loops` are int64 (m,), events and loops of units (boots, turns of a load) in the order of time. The
-    sums of the first and the last 1, 2, 4, ... units are compared with those of the same units in random order. However
-    much units differ, as long as their order does not matter, a p-value below x has the chance x (permutation test;
-    Westfall & Young 1993 for the largest of several sums).
+    `counts` and `loops` are int64 (m,), events and loops of units (boots, turns of a load) in the order of time.
     """
-    m = counts.size
-    rest = counts - counts.sum() * (loops / loops.sum())
-    j = 2 ** np.arange(max(1, (m // 2).bit_length()))
-
-    is_first = np.arange(m)[:, None] < j
-    # The weight of each unit in each sum, shape (m, sums), scaled so that all sums have the same standard deviation.
-    ends = np.concatenate((is_first, is_first[::-1]), axis=1) / np.sqrt(np.tile(j * (m - j), 2))
-    observed = rest @ ends
-    best = int(observed.argmax())
-    number, is_last = int(np.tile(j, 2)[best]), best >= j.size
-    inside = int(counts[m - number :].sum() if is_last else counts[:number].sum())
-    p_value = 1.0
-    # Less than two standard deviations are no sign of a change, and need no permutations.
-    if observed[best] > 2 * np.sqrt((rest**2).sum() / (m * (m - 1))):
-        rng = np.random.default_rng(SEED)
-        highest = (rng.permuted(np.tile(rest, (_PERMUTATIONS, 1)), axis=1) @ ends).max(axis=1)
-        p_value = (1 + int(np.count_nonzero(highest >= observed[best] - 1e-9))) / (1 + _PERMUTATIONS)
-    return p_value, f"{inside} of {counts.sum()} lie in the {'last' if is_last else 'first'} {number} of {m}"
+    order = find_order([beyond_even(counts, loops)], by_height=True)
+    if order is None:
+        return 1.0, "they come as often in each"
+    number = order.count or counts.size // 2
+    is_last = order.where in ("last", "rising")
+    inside = int(counts[counts.size - number :].sum() if is_last else counts[:number].sum())
+    return (
+        order.p_value,
+        f"{inside} of {counts.sum()} lie in the {'last' if is_last else 'first'} {number} of {counts.size}",
+    )

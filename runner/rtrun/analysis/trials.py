@@ -131,10 +131,10 @@ def count_misses(
         misses = np.sort(np.concatenate((_loop_positions(misses, absent), absent)))
     level, high = None, _NONE
     level_events = high_values(values_ns.size)
-    if level_events >= 10:
+    if level_events:
         limit = np.partition(values_ns, values_ns.size - level_events)[values_ns.size - level_events]
         high = np.flatnonzero(values_ns >= limit).astype(np.int64)
-        level = locate(high, values_ns.size)
+        level = locate(high, values_ns.size) if level_events >= 10 else None
         # If a quarter of all values reach the level, they are no high ones.
         if 4 * high.size >= values_ns.size:
             high = _NONE

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from rtfiles.output import counted, listed, printable
 from rtfiles.quantities import duration, grouped, percent, time
 from rtrun.analysis.deadline import HOURS, Answer, Unlike, Verdict
+from rtrun.analysis.trends import Climb
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
 from rtrun.plan.question import NONE_TOLERATED
@@ -78,6 +79,7 @@ def sentences(verdict: Verdict) -> list[str]:
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), change)
     if hidden := hidden_in_words(verdict):
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), hidden)
+    parts += [_reached_in_words(climb) for climb in verdict.climbs if climb.reached_after is not None]
     if verdict.answer == Answer.NEEDS_MORE:
         parts += _more(verdict)
     elif verdict.answer in (Answer.PROVEN, Answer.IF_INDEPENDENT):
@@ -137,6 +139,7 @@ def _scope(verdict: Verdict) -> list[str]:
     more = [f"{amount(verdict, count)} for bursts of {length}" for length, count in verdict.further_for_bursts]
     parts = [covered + (f" (without a miss, {', '.join(more)})" if more else ""), *_boots(verdict)]
     parts += [words for each in verdict.unlike if (words := _unlike_in_words(each))]
+    parts += [_unseen_in_words(climb) for climb in verdict.climbs[:1] if climb.smallest_ns != 0]
     if verdict.unseen_share:
         parts.append(f"holds for the {percent(1 - verdict.unseen_share)} of the time that was seen")
     return parts
@@ -149,6 +152,21 @@ def _unlike_in_words(unlike: Unlike) -> str:
     if unlike.unit == "boot" or unlike.measured < 2:
         return ""
     return f"{unlike.unit}s of another kind, of which none was measured, may be {percent(unlike.share)} of all"
+
+
+def _reached_in_words(climb: Climb) -> str:
+    after = counted(math.ceil(climb.reached_after or 0), f"more {climb.unit}")
+    return (
+        f"the highest value climbs from {climb.unit} to {climb.unit}: at this pace the deadline is reached in {after}"
+    )
+
+
+def _unseen_in_words(climb: Climb) -> str:
+    """The climb that so few units would not have shown."""
+    if climb.smallest_ns is None:
+        return f"{counted(climb.units, climb.unit)} {'are' if climb.units > 1 else 'is'} too few to show a climb"
+    smallest = time(float(f"{climb.smallest_ns:.2g}"))
+    return f"a climb of less than {smallest} from {climb.unit} to {climb.unit} would not have been seen"
 
 
 def _boots(verdict: Verdict) -> list[str]:

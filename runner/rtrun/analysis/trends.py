@@ -1,0 +1,185 @@
+"""Do runs, or boots, get worse one after the other? Each by its own level: steep trends are seen like flat ones.
+
+The level of a unit is a height that the same share of its values exceeds as of all other units: however long each was
+measured, they compare.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from rtrun.analysis.distributions import student_quantile
+from rtrun.analysis.histogram import Int64s
+from rtrun.analysis.order import Floats, find_common_order, find_order, signs_looked_at
+from rtrun.analysis.stationarity import (
+    PIECES,
+    SIGNIFICANT,
+    SIGNIFICANT_OF_MISSES,
+    Change,
+    beyond_even,
+    count_until,
+)
+from rtrun.analysis.trials import Trials
+
+# Five boots, each worse than the last, have the chance 2/120.
+SIGNIFICANT_OF_LEVELS = 0.02
+LEAST_UNITS = 5
+# The chance with which a trend of the smallest size that is stated is seen.
+_POWER = 0.9
+# So much steeper than for a line's slope a climb has to be for ranks: simulated for 5 to 40 units in 1 to 6 strata.
+_OF_RANKS, _OF_FEW_RANKS, _MANY = 1.25, 1.75, 8
+# A level is exceeded so often in a unit of the lower quartile of lengths, or, where values higher up are not known of
+# all, by less; never by fewer than the last in any.
+_EXCEEDED = (20, 10, 5)
+_LEAST_EXCEEDED = 5
+
+Unit = Sequence[Trials]
+"""The trials of all outputs of a run, or of all runs of a boot."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Climb:
+    """How the levels of units go on: `smallest_ns` a unit is the smallest climb that so many `units` would have shown.
+
+    It would have been seen nine times in ten; None where so few could show none. Where the highest values climb,
+    `reached_after` more units of that kind reach the deadline at the pace seen.
+    """
+
+    unit: Literal["run", "boot"]
+    units: int
+    smallest_ns: float | None
+    reached_after: float | None = None
+
+
+def runs_of(trials: Sequence[Trials]) -> list[Unit]:
+    """The runs of trials, in their order: the outputs of each."""
+    runs: dict[str, list[Trials]] = {}
+    for index, one in enumerate(trials):
+        runs.setdefault(one.run or str(index), []).append(one)
+    return [*runs.values()]
+
+
+def changes_between(strata: Sequence[Sequence[Unit]], name: str, *, of_heights: bool) -> Iterator[Change]:
+    """Yield a sign of misses and one of heights that the order of units matters, which follow one another in a stratum.
+
+    `name` is what they are, in the plural.
+    """
+    strata = [units for units in strata if len(units) > 1]
+    if order := find_order([_miss_rates(units) for units in strata], by_height=True):
+        text = f"misses come more often {order.words(name)}"
+        yield Change(p_value=order.p_value, significant=SIGNIFICANT_OF_MISSES, text=text)
+    if of_heights and (order := find_order(levels_ns(strata), by_height=False)):
+        text = f"high values are higher {order.words(name)}"
+        yield Change(p_value=order.p_value, significant=SIGNIFICANT_OF_LEVELS, text=text)
+
+
+def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Change]:
+    """Yield the signs that runs, laid over one another, are worse in one part than in others: a leak, a start-up."""
+    runs = [run for run in runs if all(one.n >= PIECES for one in run)]
+    of_misses = [sum(_in_pieces(one.missed_at, one.n) for one in run) for run in runs]
+    of_high = [sum(_in_pieces(one.high_at, one.n) for one in run) for run in runs] if of_heights else []
+    for counts, events, significant in (
+        (of_misses, "misses come more often", SIGNIFICANT_OF_MISSES),
+        (of_high, "high values come more often", SIGNIFICANT),
+    ):
+        if counts and (order := find_common_order(np.array(counts, np.float64))):
+            text = f"{events} {order.words('pieces')} of each run, cut into {PIECES}"
+            yield Change(p_value=order.p_value, significant=significant, text=text)
+
+
+def _in_pieces(places: Int64s, loops: int) -> Int64s:
+    return count_until(places, np.arange(1, PIECES + 1) * loops // PIECES)
+
+
+def _loops(unit: Unit) -> int:
+    return sum(one.n for one in unit)
+
+
+def _misses(unit: Unit) -> int:
+    return sum(one.late + one.absent for one in unit)
+
+
+def _miss_rates(units: Sequence[Unit]) -> Floats:
+    return beyond_even(np.array([_misses(unit) for unit in units]), np.array([_loops(unit) for unit in units]))
+
+
+def levels_ns(strata: Sequence[Sequence[Unit]]) -> list[Floats]:
+    """The own level of each unit in ns, of each stratum those that have one; empty where most have none."""
+    every = [unit for units in strata for unit in units]
+    usual = float(np.quantile([_loops(unit) for unit in every], 0.25)) if every else 0.0
+    for exceeded in _EXCEEDED if usual else ():
+        found = [[_level_ns(unit, exceeded / usual) for unit in units] for units in strata]
+        known = [np.array([level for level in levels if level is not None], np.float64) for levels in found]
+        if 4 * sum(levels.size for levels in known) >= 3 * len(every):
+            return known
+    return []
+
+
+def _level_ns(unit: Unit, share: float) -> int | None:
+    """The height that this share of a unit's values reach; None where so few do, or where no value below is known."""
+    number = round(share * _loops(unit))
+    known = [one.high_ns for one in unit if one.high_ns.size]
+    if number < _LEAST_EXCEEDED or len(known) < len(unit):
+        return None
+    highest = np.concatenate(known)
+    if highest.size < number:
+        return None
+    level = int(np.partition(highest, highest.size - number)[highest.size - number])
+    # Below the lowest of the high values of one run, others of it are not known.
+    return level if level >= max(int(high.min()) for high in known) else None
+
+
+def find_climb(unit: Literal["run", "boot"], strata: Sequence[Sequence[Unit]], deadline_ns: int) -> Climb | None:
+    """How the levels of runs or boots go on; None where there are not two in any stratum."""
+    strata = [units for units in strata if len(units) > 1]
+    if not strata:
+        return None
+    levels = levels_ns(strata)
+    return Climb(
+        unit=unit,
+        units=sum(map(len, strata)),
+        smallest_ns=_smallest_ns(levels),
+        reached_after=_reached_after(strata, deadline_ns),
+    )
+
+
+def _smallest_ns(strata: Sequence[Floats]) -> float | None:
+    """The slope in ns a unit that so many units show nine times in ten: by the power of the test of a line's slope."""
+    units, spread = sum(levels.size for levels in strata), sum(_of_places(levels.size) for levels in strata)
+    degrees = units - len(strata) - 1
+    if units < LEAST_UNITS or degrees < 1:
+        return None
+    slope = _slope(strata)
+    rest = sum(float(((levels - levels.mean() - slope * _places(levels.size)) ** 2).sum()) for levels in strata)
+    significant = SIGNIFICANT_OF_LEVELS / signs_looked_at(min(levels.size for levels in strata if levels.size))
+    reach = student_quantile(1 - significant, degrees) + student_quantile(_POWER, degrees)
+    return reach * (_OF_RANKS if units >= _MANY else _OF_FEW_RANKS) * float(np.sqrt(rest / degrees / spread))
+
+
+def _reached_after(strata: Sequence[Sequence[Unit]], deadline_ns: int) -> float | None:
+    """After how many more units the highest values reach the deadline, where they climb beyond chance."""
+    highest = [
+        np.array([max((one.worst_ns or 0 for one in unit), default=0) for unit in units], np.float64)
+        for units in strata
+    ]
+    order, slope = find_order(highest, by_height=False), _slope(highest)
+    if order is None or order.p_value >= SIGNIFICANT_OF_MISSES or order.where not in ("rising", "last") or slope <= 0:
+        return None
+    last = max(float(values.mean() + slope * _places(values.size)[-1]) for values in highest)
+    after = (deadline_ns - last) / slope
+    return after if after > 0 else None
+
+
+def _places(size: int) -> Floats:
+    return np.asarray(np.arange(size) - (size - 1) / 2)
+
+
+def _of_places(size: int) -> float:
+    return float((_places(size) ** 2).sum())
+
+
+def _slope(strata: Sequence[Floats]) -> float:
+    spread = sum(_of_places(values.size) for values in strata)
+    return sum(float(_places(values.size) @ values) for values in strata) / spread if spread else 0.0

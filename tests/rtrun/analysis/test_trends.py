@@ -1,0 +1,90 @@
+"""Runs and boots that get worse one after the other are seen by their own level, and what they could show is stated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rtrun.analysis.constancy import examine_constancy, join_boots
+from rtrun.analysis.deadline import Answer, Verdict, judge
+from rtrun.analysis.trends import find_climb, levels_ns
+from rtrun.analysis.trials import Trials, count_misses
+from rtrun.plan.question import Question
+
+DEADLINE = 400_000
+
+
+def run_of(values: np.ndarray, run: int, boot: int) -> Trials:
+    trials = count_misses(values.astype(np.int64), DEADLINE)
+    return replace(trials, run=str(run), boot=str(boot), start_time=f"{run:04}")
+
+
+def around(rng: np.random.Generator, middle_us: np.ndarray | float, n: int) -> np.ndarray:
+    return 1000 * (middle_us + rng.normal(size=n))
+
+
+def answer(runs: list[Trials]) -> Verdict:
+    return judge(runs, Question(deadline_ns=DEADLINE, probability=1e-3, bursts=1))
+
+
+def is_seen(runs: list[Trials]) -> bool:
+    constancy = examine_constancy(join_boots(runs), probability=1e-3, confidence=0.95, deadline_ns=DEADLINE)
+    return constancy.change is not None
+
+
+def climbing(step_us: float, boots: int = 10) -> list[Trials]:
+    rng = np.random.default_rng(1)
+    return [run_of(around(rng, 390 - step_us * (boots - 1 - k), 5000), k, k) for k in range(boots)]
+
+
+@pytest.mark.parametrize("step_us", [2, 25, 40])
+def test_boots_that_climb_prove_nothing(step_us: float) -> None:
+    verdict = answer(climbing(step_us))
+    assert verdict.answer is Answer.NEEDS_MORE
+    assert verdict.change is not None and verdict.change.text == "high values are higher in later boots"
+    assert verdict.climbs[0].reached_after == pytest.approx((400 - 394) / step_us, abs=1.5)
+
+
+def test_a_climb_far_below_the_deadline_takes_no_answer_away() -> None:
+    rng = np.random.default_rng(1)
+    verdict = answer([run_of(around(rng, 10 + 10 * k, 5000), k, k) for k in range(10)])
+    assert verdict.answer is Answer.PROVEN
+    assert verdict.climbs[0].reached_after == pytest.approx(30, abs=1), "it is told all the same"
+
+
+def test_a_leak_within_each_run_proves_nothing() -> None:
+    rng = np.random.default_rng(1)
+    for boots, each in ((1, 30), (6, 5)):
+        runs = [run_of(around(rng, np.linspace(100, 380, 2000), 2000), k, k % boots) for k in range(boots * each)]
+        verdict = answer(runs)
+        assert verdict.answer is Answer.NEEDS_MORE
+        assert verdict.change is not None and "pieces of each run, cut into 64" in verdict.change.text
+
+
+def test_units_of_any_length_are_compared_at_one_share() -> None:
+    rng = np.random.default_rng(2)
+    units = [[run_of(rng.exponential(20_000, n), k, k)] for k, n in enumerate((2000, 8000, 4000, 3000, 2500))]
+    (levels,) = levels_ns([units])
+    assert levels.size == 5 and np.ptp(levels) < 40_000
+    # A hundred times as long: what it reaches as often lies below all that is kept of it, and it is left out.
+    units.append([run_of(rng.exponential(20_000, 400_000), 5, 5)])
+    assert levels_ns([units])[0].size == 5
+
+
+def test_the_smallest_climb_is_seen_nine_times_in_ten() -> None:
+    rng = np.random.default_rng(4)
+
+    def boots(slope_us: float) -> list[Trials]:
+        return [run_of(around(rng, 300 + 5 * rng.normal() + slope_us * k, 2000), k, k) for k in range(10)]
+
+    smallest = [find_climb("boot", [[[run] for run in boots(0)]], DEADLINE) for _ in range(20)]
+    stated_us = np.median([climb.smallest_ns for climb in smallest if climb and climb.smallest_ns]) / 1000
+    seen = sum(is_seen(boots(stated_us)) for _ in range(40))
+    assert seen >= 30, f"{seen} of 40 climbs of {stated_us:.2f} us a boot"
+    assert sum(is_seen(boots(stated_us / 3)) for _ in range(40)) < 20
+
+
+def test_few_boots_show_no_climb() -> None:
+    climb = find_climb("boot", [[[run] for run in climbing(25, 4)]], DEADLINE)
+    assert climb is not None and climb.units == 4 and climb.smallest_ns is None
+    assert find_climb("boot", [[[run] for run in climbing(25, 1)]], DEADLINE) is None
