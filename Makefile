@@ -102,8 +102,8 @@ lint: docs
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# The error rates of verdicts, simulated at length and written into docs/analysis.md; `make test` has a short version. Then
-# machines that are drawn at random, for HOURS (8): it goes on where it was stopped, and a full run writes docs/coverage.md.
+# The error rates of verdicts, simulated at length and written into docs/coverage.md; `make test` has a short version. Then
+# machines drawn at random, for HOURS (8), into the same page: the next call continues, and a partial run says so there.
 coverage: setup
 	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/simulate.py
 	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/years.py

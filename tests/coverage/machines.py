@@ -4,7 +4,9 @@ A seed draws a machine: none, one, two or three hazards of `drawn.hazards`, thei
 its user does. Its files are written as the runner leaves them, and ``rtrun gate`` is asked, as a function in this
 process. The truth is computed from how the machine was drawn, by nothing of the project.
 
+    export PYTHONPATH=runner:tests
     python tests/coverage/machines.py --hours 8              # goes on after a stop; at the end writes docs/coverage.md
+    python tests/coverage/machines.py --hours 0              # writes what earlier calls have examined
     python tests/coverage/machines.py --seed 4711            # one machine again: what it is, and the answers
     python tests/coverage/machines.py --hours 0.1 --only climb
 
@@ -29,8 +31,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from drawn.hazards import HAZARDS, hazards_of
 from drawn.machine import Machine
-from drawn.tables import Line, Tables, is_false
+from drawn.tables import HAZARD_LEAST, Line, Tables, is_false
 from drawn.users import User, show
+
+from docs_table import write_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/coverage.md"
@@ -38,16 +42,8 @@ LINES = ROOT / "build/coverage/machines.jsonl"
 # Files that live for a second: in memory where that is.
 SCRATCH = Path("/dev/shm") if os.access("/dev/shm", os.W_OK) else None
 HOURS_MAX = 8.0
-INTRODUCTION = """\
-# Coverage of the verdict
-
-`make coverage` draws machines at random (`tests/coverage/machines.py`), writes what they measure as the runner leaves
-it, and asks `rtrun gate`. Here is how often the answer was false, among machines whose true probability of a miss lies
-at the one that is asked for: nominal are 5 %. A share in bold fails: its lower 99.9 % bound is above 5 %. A caveat
-excuses where the answer names the hazard with a number, nobody could see the hazard in the files, and at most 20 % of
-the machines without it are told the same. `tests/coverage/machines.py --seed N` draws a machine again.
-
-"""
+BEGIN = "<!-- machines.py writes from here -->"
+PARTIAL = "**No full run has been made.**"
 
 
 def digest() -> str:
@@ -160,6 +156,25 @@ def print_machine(seed: int) -> int:
     return 1 if wrong else 0
 
 
+def written(tables: Tables, text: str) -> str:
+    """Write the tables into their page; a partial run replaces no full one. Return what was written."""
+    lacking = tables.lacking()
+    if lacking and PARTIAL not in PAGE.read_text():
+        return f"{PAGE.name} keeps the tables of a full run; this one is partial: {'; '.join(lacking[:3])}"
+    hours = sum(line.get("s", 0) for line in tables.lines) / 3600
+    seeds = [line["seed"] for line in tables.lines]
+    rests_on = f"{len(seeds)} machines (seeds {min(seeds)} to {max(seeds)}), {hours:.1f} hours of one processor"
+    if lacking:
+        head = (
+            f"{PARTIAL} These tables rest on {rests_on}.\n"
+            f"A full run has {HAZARD_LEAST} of each hazard; {len(lacking)} of {len(HAZARDS)} hazards have fewer."
+        )
+    else:
+        head = f"A full run: {rests_on}."
+    write_rows(PAGE, BEGIN, f"{head}\n", [text])
+    return f"{PAGE.name} has the tables of a {'partial' if lacking else 'full'} run"
+
+
 def main() -> int:
     """Exit status: 0 where no row fails, else 1."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -186,7 +201,8 @@ def main() -> int:
     run(seeds, time.monotonic() + args.hours * 3600, args.lines, state)
     tables = Tables(line for line in read_lines(args.lines, state) if not args.only or args.only in line["hazards"])
     least = {} if args.least is None else {"least": args.least}
-    print(tables.text(**least))
+    text = tables.text(**least)
+    print(text)
     broken = [line for line in tables.lines if line.get("error")]
     for line in broken[:5]:
         print(f"seed {line['seed']}: exit status {line['status']}: {line['error']}", file=sys.stderr)
@@ -195,11 +211,8 @@ def main() -> int:
         f"{len(tables.lines)} machines, {len(broken)} without an answer; "
         f"{len(failures)} rows fail: {'; '.join(failures)}"
     )
-    lacking = tables.lacking()
-    if not lacking:  # which is never so with --only
-        PAGE.write_text(f"{INTRODUCTION}{tables.text()}\n")
-    elif not args.only:
-        print(f"{PAGE.name} is not written, a full run has more: {'; '.join(lacking[:3])}")
+    if tables.lines and not args.only:
+        print(written(tables, text))
     return 1 if failures or any(line["status"] == -1 for line in broken) else 0
 
 

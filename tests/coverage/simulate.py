@@ -1,6 +1,6 @@
-"""Simulate the error rates of verdicts at length, and write them into docs/analysis.md.
+"""Simulate the error rates of verdicts at length, and write them into docs/coverage.md.
 
-PYTHONPATH=tests .venv/bin/python tests/coverage/simulate.py [--draws 0.1] [--only bursts]
+PYTHONPATH=runner:tests .venv/bin/python tests/coverage/simulate.py [--draws 0.1] [--only bursts]
 
 All processors share the work. The numbers do not depend on how many there are: each part of a row has its own seed.
 """
@@ -16,8 +16,8 @@ from rows import ROWS, SEED, Row, percent
 
 from docs_table import share_text, write_rows
 
-DOCS = Path(__file__).parents[2] / "docs" / "analysis.md"
-BEGIN = "<!-- make coverage writes from here -->"
+DOCS = Path(__file__).parents[2] / "docs" / "coverage.md"
+BEGIN = "<!-- simulate.py writes from here -->"
 HEAD = """\
 | data; P(miss) = target = 1e-3 in those of verdicts | event | before | now | allowed | draws |
 |---|---|---:|---:|---:|---:|"""
@@ -38,7 +38,7 @@ def draw(row: int, draws: int, part: int) -> tuple[int, int]:
 
 
 def write(lines: list[str], minutes: float) -> None:
-    """Replace the table of docs/analysis.md."""
+    """Replace the table of docs/coverage.md."""
     made = (
         f"Seed {SEED} for each row, confidence 95 %; made in {minutes:.0f} minutes on {os.cpu_count()} cores.\n"
         "Shares have their 95 % intervals; a row does not hold where the share itself is beyond what is allowed."

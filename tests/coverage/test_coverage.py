@@ -1,4 +1,4 @@
-"""How often answers are wrong, in short: `make coverage` simulates them at length and writes docs/analysis.md."""
+"""How often answers are wrong, in short: `make coverage` simulates them at length and writes docs/coverage.md."""
 
 import sys
 from pathlib import Path

@@ -13,6 +13,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 
 import machines
+import simulate
 from drawn.files import DEADLINE_NS, MISSING
 from drawn.hazards import HAZARDS, hazards_of, named_in
 from drawn.machine import Machine
@@ -188,7 +189,17 @@ def test_results_of_another_state_and_a_line_that_was_cut_off_are_left_out(tmp_p
     assert [line["seed"] for line in machines.read_lines(path, "a")] == [1]
 
 
-def test_what_is_gone_on_with_is_not_drawn_again(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def page(tmp_path, monkeypatch):
+    """The page of the tables as it is, for both programs that write there."""
+    copy = tmp_path / "coverage.md"
+    copy.write_text(machines.PAGE.read_text())
+    monkeypatch.setattr(machines, "PAGE", copy)
+    monkeypatch.setattr(simulate, "DOCS", copy)
+    return copy
+
+
+def test_what_is_gone_on_with_is_not_drawn_again(tmp_path, page, monkeypatch):
     monkeypatch.setattr(machines, "digest", lambda: "a")
     path = tmp_path / "lines"
     path.write_text(json.dumps(_line() | {"seed": 0, "digest": "a"}) + '\n{"cut o')
@@ -198,12 +209,9 @@ def test_what_is_gone_on_with_is_not_drawn_again(tmp_path, monkeypatch, capsys):
         drawn.extend(next(seeds) for _ in range(3))
 
     monkeypatch.setattr(machines, "run", run)
-    monkeypatch.setattr(machines, "PAGE", tmp_path / "coverage.md")
     monkeypatch.setattr(sys, "argv", ["machines.py", "--lines", str(path)])
     assert machines.main() == 0
     assert drawn == [1, 2, 3]
-    assert "is not written" in capsys.readouterr().out
-    assert not (tmp_path / "coverage.md").exists()
 
 
 def test_a_run_goes_on_after_a_line_that_was_cut_off(tmp_path):
@@ -213,20 +221,59 @@ def test_a_run_goes_on_after_a_line_that_was_cut_off(tmp_path):
     assert len(machines.read_lines(path, "a")) == 2
 
 
-@pytest.mark.parametrize("only", [[], ["--only", "climb"]])
-def test_a_full_run_alone_writes_the_page(only, tmp_path, monkeypatch):
+def _lines_of(count):
+    """Results of so many machines of each hazard, a second each."""
+    lines = [_line(name, passed=False) | {"s": 1.0} for name in HAZARDS for _ in range(count)]
+    return [line | {"seed": seed, "digest": "a"} for seed, line in enumerate(lines)]
+
+
+@pytest.fixture
+def write(tmp_path, page, monkeypatch):
+    """Let machines.py write the page from results, with no new machine; return the page."""
     monkeypatch.setattr(machines, "digest", lambda: "a")
     monkeypatch.setattr(machines, "run", lambda *_: None)
-    monkeypatch.setattr("drawn.tables.HAZARD_LEAST", 3)
-    page, path = tmp_path / "coverage.md", tmp_path / "lines"
-    monkeypatch.setattr(machines, "PAGE", page)
-    monkeypatch.setattr(sys, "argv", ["machines.py", "--lines", str(path), *only])
-    lines = [json.dumps(_line(name, passed=False) | {"digest": "a"}) for name in HAZARDS for _ in range(3)]
-    path.write_text("\n".join(lines[1:]) + "\n")
-    assert machines.main() == 0
-    assert not page.exists()
-    path.write_text("\n".join(lines) + "\n")
-    assert machines.main() == 0
-    assert page.exists() == (not only)
-    if not only:
-        assert "| climb | 0.0 % of 3 |" in page.read_text()
+    for module in ("drawn.tables", "machines"):
+        monkeypatch.setattr(f"{module}.HAZARD_LEAST", 30)
+    path = tmp_path / "lines"
+
+    def write(lines, *options):
+        path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+        monkeypatch.setattr(sys, "argv", ["machines.py", "--lines", str(path), *options])
+        assert machines.main() == 0
+        return page.read_text()
+
+    return write
+
+
+def test_a_partial_run_is_written_and_says_what_it_rests_on(write):
+    lines = _lines_of(30)
+    text = write(lines[1:])
+    assert f"{machines.PARTIAL} These tables rest on {len(lines) - 1} machines (seeds 1 to {len(lines) - 1}), " in text
+    assert f"1 of {len(HAZARDS)} hazards have fewer." in text
+    assert "| climb | 0.0 % of 30 |" in text
+
+
+def test_a_full_run_replaces_a_partial_one_and_no_partial_one_replaces_it(write):
+    lines = _lines_of(30)
+    write(lines[1:])
+    full = write(lines)
+    assert machines.PARTIAL not in full
+    assert f"A full run: {len(lines)} machines (seeds 0 to {len(lines) - 1}), " in full
+    assert write(lines[1:]) == full
+
+
+def test_machines_of_one_hazard_or_none_are_not_written(write, page):
+    before = page.read_text()
+    assert write(_lines_of(30), "--only", "climb") == before
+    assert write([]) == before
+
+
+def test_each_program_leaves_what_the_other_wrote(write, page):
+    machines_alone = write(_lines_of(30))
+    simulate.write(["| a row | of simulate.py |"], 1)
+    both = page.read_text()
+    assert "| a row | of simulate.py |" in both
+    of_machines = both.partition(simulate.BEGIN)[0]
+    assert of_machines == machines_alone.partition(simulate.BEGIN)[0]
+    assert write(_lines_of(31)).partition(simulate.BEGIN)[2] == both.partition(simulate.BEGIN)[2]
+    assert page.read_text().partition(simulate.BEGIN)[0] != of_machines

@@ -3,7 +3,7 @@
 Each day is a boot with two runs. Boots differ by 2 % (standard deviation), the runs of a boot by 1 % more. Of misses
 a boot has a number that varies from boot to boot by more than chance.
 
-PYTHONPATH=tests .venv/bin/python tests/coverage/years.py [--only drifting]
+PYTHONPATH=runner:tests .venv/bin/python tests/coverage/years.py [--only drifting]
 """
 
 import argparse
