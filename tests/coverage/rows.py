@@ -603,7 +603,7 @@ ROWS = [
         remedy=(comparison, "is_interleaved", lambda *_: True),
     ),
     Row(
-        name="a publisher that misses its rate in half of all runs, and deadlines oftener then; repeated until kept",
+        name="a publisher that misses its rate in half of all runs, and then deadlines more often; repeated until kept",
         draw=proven_by_lucky_runs, at_most=0.0, quick=6, long=100, remedy=(studies, "lost_attempts", lambda *_: ()),
     ),
     *(
