@@ -23,7 +23,6 @@ from rtrun.analysis.stationarity import (
     test_of_order,
 )
 from rtrun.analysis.trends import (
-    SIGNIFICANT_OF_LEVELS,
     Climb,
     Unit,
     changes_between,
@@ -33,7 +32,6 @@ from rtrun.analysis.trends import (
 )
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials, high_values
 
-_LEVELS = (SIGNIFICANT_OF_MISSES, SIGNIFICANT, SIGNIFICANT_OF_LEVELS)
 # A level that was left and entered again so often is part of the process.
 RETURNS = 5
 
@@ -156,7 +154,11 @@ def examine_constancy(
     )
     # Each kind of test has an error rate of its own: many tests of one kind must not hide what another one sees.
     families = (
-        *([change for change in found if change.significant == at] for found in levels for at in _LEVELS),
+        *(
+            [change for change in found if change.significant == at]
+            for found in levels
+            for at in {change.significant for change in found}
+        ),
         _alone(boots, probability, confidence),
     )
     seen = [change for family in families if (change := _strongest(family)) is not None]

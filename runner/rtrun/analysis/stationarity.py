@@ -8,9 +8,9 @@ from rtrun.analysis.distributions import binomial_above, chi_squared_above
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.order import Floats, find_order
 
-# Below this chance something counts as a change. Few misses tell little, so for them the chance may be higher.
+# Below this chance something counts as a change within runs. Few misses tell little, so for them it may be higher.
 SIGNIFICANT = 0.01
-SIGNIFICANT_OF_MISSES = 0.05
+SIGNIFICANT_OF_MISSES = 0.02
 PARTS = 8
 # Events are also compared from piece to piece. A piece is longer than any burst, so a change is not taken for a burst.
 PIECES = 64

@@ -23,8 +23,9 @@ from rtrun.analysis.stationarity import (
 )
 from rtrun.analysis.trials import Trials
 
-# Five boots, each worse than the last, have the chance 2/120.
-SIGNIFICANT_OF_LEVELS = 0.02
+# Of units there are fewer still. Five boots, each worse than the last, have the chance 2/120.
+_SIGNIFICANT_OF_LEVELS = 0.02
+_SIGNIFICANT_OF_MISSES = 0.05
 LEAST_UNITS = 5
 # The chance with which a trend of the smallest size that is stated is seen.
 _POWER = 0.9
@@ -69,10 +70,10 @@ def changes_between(strata: Sequence[Sequence[Unit]], name: str, *, of_heights: 
     strata = [units for units in strata if len(units) > 1]
     if order := find_order([_miss_rates(units) for units in strata], by_height=True):
         text = f"misses come more often {order.words(name)}"
-        yield Change(p_value=order.p_value, significant=SIGNIFICANT_OF_MISSES, text=text)
+        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_MISSES, text=text)
     if of_heights and (order := find_order(levels_ns(strata), by_height=False)):
         text = f"high values are higher {order.words(name)}"
-        yield Change(p_value=order.p_value, significant=SIGNIFICANT_OF_LEVELS, text=text)
+        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_LEVELS, text=text)
 
 
 def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Change]:
@@ -153,7 +154,7 @@ def _smallest_ns(strata: Sequence[Floats]) -> float | None:
         return None
     slope = _slope(strata)
     rest = sum(float(((levels - levels.mean() - slope * _places(levels.size)) ** 2).sum()) for levels in strata)
-    significant = SIGNIFICANT_OF_LEVELS / signs_looked_at(min(levels.size for levels in strata if levels.size))
+    significant = _SIGNIFICANT_OF_LEVELS / signs_looked_at(min(levels.size for levels in strata if levels.size))
     reach = student_quantile(1 - significant, degrees) + student_quantile(_POWER, degrees)
     return reach * (_OF_RANKS if units >= _MANY else _OF_FEW_RANKS) * float(np.sqrt(rest / degrees / spread))
 
@@ -165,7 +166,7 @@ def _reached_after(strata: Sequence[Sequence[Unit]], deadline_ns: int) -> float 
         for units in strata
     ]
     order, slope = find_order(highest, by_height=False), _slope(highest)
-    if order is None or order.p_value >= SIGNIFICANT_OF_MISSES or order.where not in ("rising", "last") or slope <= 0:
+    if order is None or order.p_value >= _SIGNIFICANT_OF_MISSES or order.where not in ("rising", "last") or slope <= 0:
         return None
     last = max(float(values.mean() + slope * _places(values.size)[-1]) for values in highest)
     after = (deadline_ns - last) / slope
