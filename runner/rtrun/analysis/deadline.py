@@ -152,8 +152,8 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     """Answer a question for runs of one set of parameters.
 
     PROVEN: the interval's upper end is below it, and no run shows a change. IF_INDEPENDENT: the same, from counts that
-    kept no order. REFUTED: the lower end is above it. Else, and with fewer boots than asked for, NEEDS MORE, with
-    how many.
+    kept no order. REFUTED: the lower end is above it, after a change that of the later half, too. Else, and with fewer
+    boots than asked for, NEEDS MORE, with how many.
     An attempt that was lost counts as a unit (a boot, or a run of one boot) that was late throughout, and so does the
     time of an observation that load hid: what was seen beside it is the lucky part. For a refutation, time that was not
     seen holds no miss.
@@ -198,7 +198,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     elif covered >= question.bursts and is_constant:
         is_ordered = all(run.misses is not None for run in runs)
         answer = Answer.PROVEN if is_ordered else Answer.IF_INDEPENDENT
-    elif n and lower > probability:
+    elif n and lower > probability and (is_constant or _later_refutes(alike, effect, probability, confidence)):
         answer = Answer.REFUTED
     is_whole = not late_share
     further = missing_without_miss(misses, n, effect, question) if is_whole else None
@@ -238,6 +238,15 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         change=constancy.change,
         refused=refused,
     )
+
+
+def _later_refutes(alike: Sequence[CountedRun], effect: float, probability: float, confidence: float) -> bool:
+    """Whether the later half of what was measured refutes it alone: a system that got better is not what it was."""
+    half = sum(each.n for each in alike) / 2
+    middles = np.cumsum([each.n for each in alike]) - [each.n / 2 for each in alike]
+    later = [each for each, middle in zip(alike, middles, strict=True) if middle >= half]
+    n, misses = sum(each.n for each in later), sum(each.misses for each in later)
+    return anytime_lower(misses / effect, n / effect, confidence) > probability
 
 
 def _unlike(

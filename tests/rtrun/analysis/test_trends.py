@@ -88,3 +88,16 @@ def test_few_boots_show_no_climb() -> None:
     climb = find_climb("boot", [[[run] for run in climbing(25, 4)]], DEADLINE)
     assert climb is not None and climb.units == 4 and climb.smallest_ns is None
     assert find_climb("boot", [[[run] for run in climbing(25, 1)]], DEADLINE) is None
+
+
+def test_a_system_that_got_better_is_not_refuted_by_what_it_was() -> None:
+    rng = np.random.default_rng(5)
+
+    def boots(rates: list[float]) -> list[Trials]:
+        values = [np.where(rng.random(5000) < rate, 500, 100) * 1000 for rate in rates]
+        return [run_of(each, k, k) for k, each in enumerate(values)]
+
+    better = answer(boots([0.01] * 6 + [0.0] * 6))
+    assert better.answer is Answer.NEEDS_MORE and better.change is not None
+    worse = answer(boots([0.0] * 6 + [0.01] * 6))
+    assert worse.answer is Answer.REFUTED and worse.change is not None
