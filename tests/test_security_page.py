@@ -23,6 +23,7 @@ NO_LIMITS = {
             f"rtrun.plan.limits.{name}"
             for name in ("COUNT_MAX", "RT_PRIORITY_MAX", "MEASURING_PRIORITY_MAX", "EXIT_STATUS_MAX")
         ),
+        "rtrun.plan.question.BURSTS_MAX",
         "rtrun.validity.outcome.LISTED_MAX",
     },
     "what is printed or computed at most": {

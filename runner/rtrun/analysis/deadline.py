@@ -11,6 +11,7 @@ import numpy as np
 from rtrun.analysis.constancy import examine_constancy, find_climbs, join_boots
 from rtrun.analysis.dependence import Events, cluster_effect, design_effect, effect_of_few, pool
 from rtrun.analysis.distributions import chi_squared_above, normal_quantile, student_quantile
+from rtrun.analysis.episodes import Episodes, per_hour
 from rtrun.analysis.further import (
     chance_of_no_miss,
     likely_further,
@@ -23,7 +24,7 @@ from rtrun.analysis.stationarity import SIGNIFICANT, Change
 from rtrun.analysis.trends import Climb
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials
 from rtrun.analysis.units import Cluster, CountedRun, boots_of, count_alike, sums
-from rtrun.plan.question import Question, unlike_share
+from rtrun.plan.question import NONE_TOLERATED, Bursts, Question, bursts_asked, unlike_share
 
 HOURS = 24  # of a day
 # Lengths of bursts for which a proof says how much longer it would have to measure.
@@ -61,8 +62,9 @@ class Verdict:
     (`anytime_interval`). ``boots`` counts the boots that were measured, None where they are not known;
     ``boots_known`` are those that are known, all others together are none, or one where none is known. ``boards``
     counts the boards that were measured. ``longest_burst`` is the mean length of bursts of misses, none of which was
-    seen, up to which PROVEN would hold; ``further_for_bursts`` gives (length, measurements without a miss that would
-    cover it).
+    seen, up to which PROVEN would hold; it has to cover ``bursts``, which are ``bursts_by_default`` long where nobody
+    asks otherwise; ``further_for_bursts`` gives (length, measurements without a miss that would cover it). ``episodes``
+    of misses are None where no order was kept.
 
     ``further`` measurements without any further miss would give PROVEN (0: it is given, None: no number would), which
     has the chance ``further_chance``. ``further_likely`` gives (answer, measurements) that nine times in ten are enough
@@ -90,6 +92,8 @@ class Verdict:
     boots: int | None
     boots_known: int
     boards: int
+    bursts: Bursts
+    bursts_by_default: int
     longest_burst: float
     further_for_bursts: tuple[tuple[int, int], ...]
     further: int | None
@@ -105,6 +109,7 @@ class Verdict:
     hidden_share: float = 0.0
     unlike: tuple[Unlike, ...] = ()
     climbs: tuple[Climb, ...] = ()
+    episodes: Episodes | None = None
     change: Change | None = None
     refused: str | None = None
 
@@ -132,7 +137,8 @@ class Verdict:
 class Circumstances:
     """How runs were measured, as far as it bears on their verdict.
 
-    `measurements_per_event` measurements of one event (the subscribers of one message) count as one measurement.
+    `side_by_side` outputs measure one event each time, as the subscribers of one message do: their values count as one,
+    and `period_ns` is that of one stream divided by their number.
     `lost` are attempts beside these runs of which nothing is judged, a sentence each. Of the time of an observation,
     `unseen_share` was not seen, and `hidden_share` because of load.
     """
@@ -140,12 +146,22 @@ class Circumstances:
     period_ns: float | None = None
     clock_step_ns: int | None = None
     emulated: bool = False
-    measurements_per_event: int = 1
+    side_by_side: float = 1.0
     lost: tuple[str, ...] = ()
     unseen_share: float = 0.0
     hidden_share: float = 0.0
     hours: int | None = None
     """Of the day, in which these runs were measured; None: that is not known."""
+
+    @property
+    def measurements_per_event(self) -> int:
+        """So many measurements of one event count as one."""
+        return math.ceil(self.side_by_side)
+
+    @property
+    def stream_ns(self) -> float | None:
+        """The period of one stream."""
+        return None if self.period_ns is None else self.period_ns * self.side_by_side
 
 
 def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = Circumstances()) -> Verdict:
@@ -186,24 +202,31 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         assumes = (*assumes, f"{unclear} values in the same bin of a log as the deadline are late")
     is_constant = constancy.change is None
     late_share = _late_share(units, question, measured)
+    episodes = _episodes(runs, question, measured)
+    longest_seen = episodes.longest_misses if episodes else 1
+    bursts = bursts_asked(question, measured.stream_ns, longest_seen)
+    per_event = measured.measurements_per_event
+    # Of streams that are late together each has its part of a burst.
+    asked = replace(question, bursts=bursts.length * per_event if bursts.length > 1 else 1)
     lower, upper = lower * (1 - measured.unseen_share), min(1.0, upper + late_share)
     left = replace(question, probability=question.probability - late_share, confidence=_shared(confidence, measured))
-    covered = longest_burst(misses, n, effect, left) if left.probability > 0 else 0.0
+    covered = longest_burst(misses, n, effect, left) / per_event if left.probability > 0 else 0.0
+    covered = covered and max(1.0, covered)
     refused = _refusal(question, measured)
     answer = Answer.NEEDS_MORE
     if refused:
         answer = Answer.NO_STATEMENT
     elif boots_known < question.boots:
         pass
-    elif covered >= question.bursts and is_constant:
+    elif covered >= bursts.length and is_constant:
         is_ordered = all(run.misses is not None for run in runs)
         answer = Answer.PROVEN if is_ordered else Answer.IF_INDEPENDENT
     elif n and lower > probability and (is_constant or _later_refutes(alike, effect, probability, confidence)):
         answer = Answer.REFUTED
     is_whole = not late_share
-    further = missing_without_miss(misses, n, effect, question) if is_whole else None
+    further = missing_without_miss(misses, n, effect, asked) if is_whole else None
     is_open = answer == Answer.NEEDS_MORE and is_constant and is_whole
-    likely = likely_further(misses, n, effect, question) if is_open else None
+    likely = likely_further(misses, n, effect, asked) if is_open else None
     is_proven = answer in (Answer.PROVEN, Answer.IF_INDEPENDENT)
     return Verdict(
         answer=answer,
@@ -220,8 +243,10 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         boots=boots,
         boots_known=boots_known,
         boards=boards,
+        bursts=bursts,
+        bursts_by_default=bursts_asked(replace(question, bursts=None), measured.stream_ns, longest_seen).length,
         longest_burst=covered,
-        further_for_bursts=_further_for_bursts(misses, n, effect, question) if is_proven else (),
+        further_for_bursts=_further_for_bursts(misses, n, effect, question, per_event) if is_proven else (),
         further=further,
         further_chance=chance_of_no_miss(misses, n, effect, further or 0),
         further_likely=likely and (Answer.PROVEN if likely[0] else Answer.REFUTED, likely[1]),
@@ -235,6 +260,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         hidden_share=measured.hidden_share,
         unlike=_unlike(len(names), boots, boards, measured, question),
         climbs=find_climbs(joined, question.deadline_ns),
+        episodes=episodes,
         change=constancy.change,
         refused=refused,
     )
@@ -291,6 +317,34 @@ def _units_missing(units: int, question: Question, measured: Circumstances) -> i
     return None if total is None else total - units
 
 
+def _episodes(runs: Sequence[Trials], question: Question, measured: Circumstances) -> Episodes | None:
+    """The episodes of misses, which are judged as misses are: with the dependence that is between them.
+
+    There is no bound where attempts were lost or load hid a part of the time, which may hold any number of them.
+    """
+    found = [run.episodes for run in runs if run.episodes is not None]
+    if len(found) < len(runs) or not found:
+        return None
+    begun = [
+        replace(run, late=each.begun.count, absent=0, misses=each.begun, missed_at=each.begun_at, level=None)
+        for run, each in zip(runs, found, strict=True)
+    ]
+    bound = None
+    if measured.stream_ns is not None and not measured.lost and not measured.hidden_share:
+        alike = count_alike(begun)
+        single = replace(question, tolerance=NONE_TOLERATED)
+        effect, _ = _effect(begun, alike, (), single, measured.measurements_per_event)
+        n, count = sum(each.n for each in alike), sum(each.misses for each in alike)
+        bound = per_hour(anytime_upper(count / effect, n / effect, question.confidence), measured.stream_ns)
+    longest_loops = max(each.longest_loops for each in found)
+    return Episodes(
+        seen=sum(each.begun.count for each in found),
+        longest_misses=max(each.longest_misses for each in found),
+        longest_ns=None if measured.stream_ns is None else longest_loops * measured.stream_ns,
+        per_hour_at_most=bound,
+    )
+
+
 def _refusal(question: Question, measured: Circumstances) -> str | None:
     """Why numbers are no real-time statement, None where they are one."""
     if measured.emulated:
@@ -301,9 +355,11 @@ def _refusal(question: Question, measured: Circumstances) -> str | None:
     return None
 
 
-def _further_for_bursts(misses: float, n: int, effect: float, question: Question) -> tuple[tuple[int, int], ...]:
+def _further_for_bursts(
+    misses: float, n: int, effect: float, question: Question, per_event: int
+) -> tuple[tuple[int, int], ...]:
     """(length of bursts, measurements without a miss that would cover them), as far as more are missing."""
-    asked = [(length, replace(question, bursts=length)) for length in BURSTS]
+    asked = [(length, replace(question, bursts=length * per_event)) for length in BURSTS]
     return tuple((length, more) for length, each in asked if (more := missing_without_miss(misses, n, effect, each)))
 
 

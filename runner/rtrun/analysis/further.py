@@ -1,14 +1,15 @@
 """How many measurements decide a question: beforehand, and from what was seen so far."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from rtrun.analysis.distributions import beta_above, beta_below, poisson_quantile
 from rtrun.analysis.intervals import anytime_interval, anytime_upper, is_upper_below
 from rtrun.analysis.search import where_one
-from rtrun.plan.question import Question
+from rtrun.plan.question import Question, bursts_asked
 
 # Beyond this a number of measurements is no plan: at 1 kHz it is 30 000 years.
 UNATTAINABLE = 10**15
@@ -36,8 +37,8 @@ def longest_burst(misses: float, n: float, effect: float, question: Question) ->
 
 def proves(misses: float, n: float, effect: float, question: Question) -> bool:
     """Whether the upper end of P(miss) is below the target, and the bursts that are to be covered are."""
-    if question.bursts > 1:
-        return longest_burst(misses, n, effect, question) >= question.bursts
+    if (bursts := bursts_asked(question).length) > 1:
+        return longest_burst(misses, n, effect, question) >= bursts
     return n > 0 and is_upper_below(misses / effect, n / effect, question.confidence, question.probability)
 
 
@@ -55,12 +56,16 @@ def chance_of_no_miss(misses: float, n: int, effect: float, more: int) -> float:
     return float((n / (n + more)) ** (misses / effect + 0.5)) if n else 0.0
 
 
-def plan_measurements(question: Question, *, rate: float = 0.0) -> tuple[bool, int] | None:
+def plan_measurements(
+    question: Question, *, rate: float = 0.0, period_ns: float | None = None
+) -> tuple[bool, int] | None:
     """Whether it is proven (True) or refuted, and the independent measurements that are enough nine times in ten.
 
-    `rate` is that of misses; without misses it is the fewest that prove it. Where some are tolerated, measurements are
-    counted in ends of windows, of which as many as overlap are worth one. None where no number decides.
+    `rate` is that of misses; without misses it is the fewest that prove it. `period_ns` is that of the stream, of which
+    a proof covers a stall (`bursts_asked`). Where some are tolerated, measurements are counted in ends of windows, of
+    which as many as overlap are worth one. None where no number decides.
     """
+    question = replace(question, bursts=bursts_asked(question, period_ns).length)
     effect = float(question.tolerance.overlap)
     if not rate:
         total = smallest(lambda total: proves(0, total, effect, question), 0)
@@ -76,6 +81,17 @@ def plan_measurements(question: Question, *, rate: float = 0.0) -> tuple[bool, i
 
     total = smallest(decided, 0)
     return None if total is None else (rate < question.probability, total)
+
+
+def plan_groups(
+    question: Question, periods_ns: Mapping[str, float | None], *, rate: float = 0.0
+) -> tuple[bool, dict[str, int]] | None:
+    """As `plan_measurements` for each of several groups, by their names; None where no number decides one."""
+    planned = {name: plan_measurements(question, rate=rate, period_ns=each) for name, each in periods_ns.items()}
+    decided = {name: each for name, each in planned.items() if each is not None}
+    if len(decided) < len(planned):
+        return None
+    return all(is_proven for is_proven, _ in decided.values()), {name: total for name, (_, total) in decided.items()}
 
 
 def likely_further(misses: float, n: int, effect: float, question: Question) -> tuple[bool, int] | None:
@@ -107,7 +123,8 @@ def likely_further(misses: float, n: int, effect: float, question: Question) -> 
 
 def _proven_from(counts: Sequence[float], effect: float, question: Question) -> Iterator[float]:
     """From how many effective measurements on each number of bursts is a proof, as `longest_burst` says."""
-    several = question.bursts > 1
+    bursts = bursts_asked(question).length
+    several = bursts > 1
     alpha = (1 - question.confidence) / (2 if several else 1)
     at = 0.0
     for count in counts:
@@ -117,7 +134,7 @@ def _proven_from(counts: Sequence[float], effect: float, question: Question) -> 
         def how_near(log_more: float, count: float = count, level: float = level) -> float:
             total = count + math.exp(log_more)
             unseen = -math.expm1(math.log(alpha / 2) / (total * effect)) if several else 0.0
-            target = max(question.probability - question.bursts * unseen, 0.0)
+            target = max(question.probability - bursts * unseen, 0.0)
             # The interval ends below the target if, at the target's rate, so few misses have a chance below the level.
             return level / max(beta_above(target, count + 1, total - count), 1e-300)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtrun.analysis.dependence import Events, locate
+from rtrun.analysis.episodes import FoundEpisodes, find_episodes
 from rtrun.analysis.histogram import Histogram, Int64s
 from rtrun.plan.question import NONE_TOLERATED, Tolerance
 
@@ -30,7 +31,8 @@ class Trials:
     int64 (k,), of many only every ``stride``-th. ``level`` holds where the run passed a lower level often enough (about
     200 times) to show whether its high values come in bursts; ``high_at`` and ``high_ns`` are the places and the
     heights of these, int64 (h,). ``worst_ns`` is the highest value seen. ``unclear`` of the late ones lie in the bin of
-    a histogram that holds the deadline, and may have met it. ``run``, ``boot``, ``board`` and ``start_time`` say where
+    a histogram that holds the deadline, and may have met it. ``episodes`` are those of misses near one another; None
+    where no order was kept. ``run``, ``boot``, ``board`` and ``start_time`` say where
     it belongs; "" where that is not known.
     """
 
@@ -45,6 +47,7 @@ class Trials:
     worst_ns: int | None
     stride: int = 1
     unclear: int = 0
+    episodes: FoundEpisodes | None = None
     run: str = ""
     boot: str = ""
     board: str = ""
@@ -109,20 +112,26 @@ def _decided_by(every: Int64s, floor: int, tolerance: Tolerance) -> Int64s:
 
 
 def count_misses(
-    values_ns: Int64s, deadline_ns: int, absent: Int64s | None = None, tolerance: Tolerance = NONE_TOLERATED
+    values_ns: Int64s,
+    deadline_ns: int,
+    absent: Int64s | None = None,
+    tolerance: Tolerance = NONE_TOLERATED,
+    period_ns: float | None = None,
 ) -> Trials:
     """Count what missed the deadline in one run's int64 samples, shape (n,) in loop order.
 
     A value above the deadline is late, one that equals it is not.
     `absent` gives the ascending loop positions of what was not fired or went missing; the samples fill the others.
     With a `tolerance` the trials are windows (`windowed`); the highest value seen is still that of a loop.
+    `period_ns` says how far apart loops are, None: nobody knows.
     """
     if absent is None:
         absent = np.empty(0, np.int64)
     if tolerance != NONE_TOLERATED:
         decides, never = windowed(values_ns, absent, deadline_ns, tolerance)
         return replace(
-            count_misses(decides, deadline_ns, never), worst_ns=int(values_ns.max()) if values_ns.size else None
+            count_misses(decides, deadline_ns, never, period_ns=period_ns),
+            worst_ns=int(values_ns.max()) if values_ns.size else None,
         )
     loops = values_ns.size + absent.size
     misses = np.flatnonzero(values_ns > deadline_ns).astype(np.int64)
@@ -149,6 +158,7 @@ def count_misses(
         high_at=high,
         high_ns=values_ns[high],
         stride=stride,
+        episodes=find_episodes(misses, loops, period_ns),
         worst_ns=int(values_ns.max()) if values_ns.size else None,
     )
 

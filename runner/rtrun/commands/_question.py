@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, get_args
 
 from rtrun.plan.quantities import read_probability, read_time_ns
-from rtrun.plan.question import THESIS, Of, Question, may_follow, read_tolerance
+from rtrun.plan.question import THESIS, Of, Question, may_follow, read_bursts, read_tolerance
 
 if TYPE_CHECKING:
     from rtrun.judgement.study import Study
@@ -51,6 +51,13 @@ def add_question(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--confidence", type=probability_argument, metavar="C", help=f"of every interval [{goal} {CONFIDENCE}]"
     )
+    parser.add_argument(
+        "--bursts",
+        type=argument(read_bursts),
+        metavar="N",
+        help=f"misses in a row that a proof has to cover, even if none was seen; 1: misses come singly [{goal} those "
+        "of a stall of 10 ms]",
+    )
 
 
 def add_of(parser: argparse.ArgumentParser, default: str) -> None:
@@ -84,6 +91,7 @@ def question(args: argparse.Namespace, results: Path) -> Question:
         "deadline_ns": args.deadline,
         "probability": args.probability,
         "confidence": args.confidence,
+        "bursts": args.bursts,
     }
     asked = replace(before, **{key: value for key, value in given.items() if value})
     asked = replace(asked, is_deadline_stated=bool((goal and goal.deadline_ns) or args.deadline))

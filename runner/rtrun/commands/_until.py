@@ -6,7 +6,7 @@ from pathlib import Path
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.output import print_line, print_note
 from rtfiles.quantities import duration
-from rtrun.analysis.further import plan_measurements
+from rtrun.analysis.further import plan_groups
 from rtrun.commands._boards import TargetFile, measure_on
 from rtrun.commands.verdict import print_answers
 from rtrun.execution import campaign_runner
@@ -40,7 +40,7 @@ def measure_until(
 
     Whatever the answers are, it was measured as planned: `rtrun gate` judges them.
     """
-    best = plan_measurements(goal.question)
+    best = plan_groups(goal.question, {group.name: group.period_ns for group in groups})
     if best is None:
         raise UsageError(f"{file}: until: no number of measurements proves P(miss) below {goal.probability:g}")
     for config in (target.config for target in targets):

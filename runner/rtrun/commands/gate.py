@@ -129,10 +129,10 @@ def _against(args: argparse.Namespace) -> "Gate":
     from rtrun.targets.inspection.platform import Platform
 
     limits = (args.max_page_faults, args.max_allocations)
-    of_deadline = (args.probability, args.confidence, args.tolerate, args.assume_independent, *limits)
+    of_deadline = (args.probability, args.confidence, args.bursts, args.tolerate, args.assume_independent, *limits)
     if any(each not in (None, False) for each in of_deadline):
         raise UsageError(
-            "--probability, --confidence, --tolerate, --assume-independent, --max-page-faults, "
+            "--probability, --confidence, --bursts, --tolerate, --assume-independent, --max-page-faults, "
             "--max-allocations: go without --against"
         )
     asked = question(args, args.results)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 NAME = "plan"
 # Lengths of bursts whose price is told.
-BURSTS = (5, 20)
+BURSTS = (1, 5, 20)
 # A load that comes and goes so often, in seconds, for which longer runs are proposed.
 LOADS_S = (60, 600)
 HELP = "print every run of a campaign and how long it takes, without a target"
@@ -122,12 +122,12 @@ def _times(runs: "Sequence[Run]", restarts: int) -> dict[str, float]:
 def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Iterator[_Forecast]:
     """How long the goal takes in the best case, and at a rate of misses where one is given."""
     from rtrun.analysis.deadline import Answer
-    from rtrun.analysis.further import plan_measurements
+    from rtrun.analysis.further import plan_groups
     from rtrun.plan.rounds import outlook
 
     boot_rounds = _rounds_of_boot(goal, groups)
     for assumed in (0.0,) if rate is None else (0.0, rate):
-        planned = plan_measurements(goal.question, rate=assumed)
+        planned = plan_groups(goal.question, _periods_ns(groups), rate=assumed)
         if planned is None or boot_rounds is None:
             yield _Forecast(assumed_rate=assumed)
             continue
@@ -137,18 +137,30 @@ def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Ite
         yield _Forecast(assumed_rate=assumed, answer=answer, outlook=expected)
 
 
+def _periods_ns(groups: "Sequence[Run]") -> "dict[str, float | None]":
+    return {group.name: group.period_ns for group in groups}
+
+
+def _lengths_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> list[int]:
+    """How long the bursts are that a proof of each group has to cover, ascending, each once."""
+    from rtrun.plan.question import bursts_asked
+
+    return sorted({bursts_asked(goal.question, group.period_ns).length for group in groups})
+
+
 def _rounds_of_boot(goal: "Goal", groups: "Sequence[Run]") -> int | None:
     """How many rounds each boot has if no measurement misses; None where no number of measurements is a proof."""
-    from rtrun.analysis.further import plan_measurements
+    from rtrun.analysis.further import plan_groups
     from rtrun.plan.rounds import rounds_of_boot
 
-    best = plan_measurements(goal.question)
+    best = plan_groups(goal.question, _periods_ns(groups))
     return None if best is None else rounds_of_boot(groups, best[1], goal.boots)
 
 
 def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlook]":
-    """How long the goal takes without a miss if a proof has to cover longer bursts, by their length."""
-    lengths = [length for length in BURSTS if length > goal.bursts]
+    """How long the goal takes without a miss if a proof has to cover other bursts, by their length."""
+    asked = _lengths_of_bursts(goal, groups)
+    lengths = [length for length in BURSTS if [length] != asked]
     forecasts = {
         length: next(_forecasts(goal.model_copy(update={"bursts": length}), groups, None)) for length in lengths
     }
@@ -198,7 +210,7 @@ def _goal_lines(
     share = percent(unlike_share(goal.boots, goal.confidence))
     yield (
         f"on {counted(goal.boots, 'boot')}: boots of another kind, of which none is measured, may be {share} of all; "
-        f"a proof covers {goal.question.covered}"
+        f"a proof covers {goal.question.covered}{_default_in_words(goal, runs)}"
     )
     for each in forecasts:
         name = f"if {each.assumed_rate} of all measurements miss it" if each.assumed_rate else "without a miss"
@@ -213,7 +225,17 @@ def _goal_lines(
             f"{duration(each.outlook.total_s)}, of which {duration(each.outlook.measuring_s)} are measuring{longer}"
         )
     for length, outlook in prices.items():
-        yield f"to cover bursts of {length} (bursts: {length}): {duration(outlook.total_s)} without a miss"
+        covered = f"bursts of {length}" if length > 1 else "single misses"
+        yield f"to cover {covered} (bursts: {length}): {duration(outlook.total_s)} without a miss"
+
+
+def _default_in_words(goal: "Goal", groups: "Sequence[Run]") -> str:
+    """What a stall comes to, where nobody says how long bursts are."""
+    if goal.bursts is not None:
+        return ""
+    least, most = (choose(_lengths_of_bursts(goal, groups)) for choose in (min, max))
+    length = f"{least}" if least == most else f"{least} to {most}"
+    return f" (bursts of {length}, the default)" if most > 1 else " (a single miss, the default)"
 
 
 def _observed_goal_line(goal: "Goal", deadlines: "Sequence[StreamDeadline]") -> str:

@@ -69,17 +69,17 @@ def rounds(
     groups: Sequence[Run],
     goal: Goal,
     seed: int,
-    measurements: int,
+    measurements: Mapping[str, int],
     findings: Findings,
     report_progress: Callable[[Sequence[Progress], float], None],
     boards: int = 1,
 ) -> NextRound:
     """What to measure next, until every group has its answer or the time is over.
 
-    `measurements` are those of a proof without a miss. Whoever measures a round asks for the next one when its runs are
-    closed; several `boards` measure rounds of their own at a time. A group with a final answer leaves the rounds; so
-    does one whose run failed `TRIES` times. `report_progress` is called with the seconds spent so far before each new
-    round and at the end, once for each state of the answers.
+    `measurements` are those of a proof without a miss, by the name of the group. Whoever measures a round asks for the
+    next one when its runs are closed; several `boards` measure rounds of their own at a time. A group with a final
+    answer leaves the rounds; so does one whose run failed `TRIES` times. `report_progress` is called with the seconds
+    spent so far before each new round and at the end, once for each state of the answers.
     """
     boot_rounds = rounds_of_boot(groups, measurements, goal.boots)
     lowest = highest = _latest_round(groups, findings)
@@ -193,7 +193,7 @@ def _used_boots(
 def _progress(
     groups: Sequence[Run],
     standings: Mapping[str, Standing],
-    measurements: int,
+    measurements: Mapping[str, int],
     boot_rounds: int,
     spent_s: float,
     boards: int,
@@ -204,7 +204,7 @@ def _progress(
     progress = []
     for group in groups:
         standing = standings.get(group.name)
-        number = runs_left(group, standing, measurements, boot_rounds)
+        number = runs_left(group, standing, measurements[group.name], boot_rounds)
         left_s = None if number is None else number * (group.expected_s + overhead_s) / boards
         progress.append(Progress(group=group, standing=standing, left_s=left_s))
     return progress

@@ -125,7 +125,9 @@ def digest(series: Series, question: Question | None) -> Digest:
         figures=figures,
         histogram=histogram,
         question=question,
-        trials=count_misses(values_ns, question.deadline_ns, series.absent, tolerance) if question else None,
+        trials=count_misses(values_ns, question.deadline_ns, series.absent, tolerance, header.period_ns)
+        if question
+        else None,
         undecidable=undecidable,
         blocks=cut(values_ns) if values_ns.size else None,
         tail=tail_of(values_ns) if has_order else None,

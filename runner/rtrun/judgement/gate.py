@@ -92,7 +92,7 @@ def gate(
         Case(about=name, answer="REPEATED", text="cut off by a restart of the target, then measured again", passed=True)
         for name in study.source.repeated
     ]
-    if goal is not None and (less := weaker(goal, study.question)):
+    if goal is not None and (less := weaker(goal, study.question, _bursts_by_default(study))):
         text = f"it asks less than the goal of the campaign: {'; '.join(less)}; to ask that instead: --instead-of-goal"
         cases.insert(0, Case(about="question", answer=ASKS_LESS, text=text, passed=False))
     if max_page_faults is not None:
@@ -108,6 +108,11 @@ def gate(
             text = "no run was measured but those that count allocations, whose times are not judged"
             cases.append(Case(about="deadline", answer="NOT ANALYSED", text=text, passed=False))
     return Gate(cases=tuple(cases))
+
+
+def _bursts_by_default(study: Study) -> int:
+    """The bursts that a proof of each group covers where nobody says how long they are."""
+    return max((group.verdict.bursts_by_default for group in study.answers if group.verdict), default=1)
 
 
 def _page_faults(record: RunRecord, most: int) -> Iterator[Case]:

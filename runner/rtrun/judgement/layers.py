@@ -13,8 +13,7 @@ from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.kinds.known import KINDS, kind_of
 from rtrun.plan.middleware.description import middlewares
-from rtrun.plan.suites import middleware_of, options, suite
-from rtrun.results.series import period_of
+from rtrun.plan.suites import middleware_of, options, period_of, suite
 from rtrun.targets.inspection.platform import Platform
 
 # Parameters of a layer alone; all others must be the same in both.

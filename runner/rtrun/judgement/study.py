@@ -2,7 +2,6 @@
 
 import functools
 import json
-import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -313,7 +312,7 @@ def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Questi
             period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
             clock_step_ns=_clock_step_ns(alike),
             emulated=first.platform is Platform.EMULATED,
-            measurements_per_event=math.ceil(side_by_side),
+            side_by_side=side_by_side,
             lost=tuple(str(one) for one in basis.lost if not one.kind or one.kind in kinds),
             unseen_share=seen.unseen_share,
             hidden_share=seen.hidden_share,

@@ -9,7 +9,7 @@ from rtrun.analysis.deadline import HOURS, Answer, Unlike, Verdict
 from rtrun.analysis.trends import Climb
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
-from rtrun.plan.question import NONE_TOLERATED
+from rtrun.plan.question import NONE_TOLERATED, STALL_NS
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
@@ -65,6 +65,8 @@ def sentences(verdict: Verdict) -> list[str]:
         absent = f"{counted(verdict.absent, 'period')} skipped" if is_skip else f"{verdict.absent} never came"
         parts[0] += f" and {absent}"
     parts.append(f"P({verdict.question.miss}) {_between(verdict)}")
+    if episodes := _episodes(verdict):
+        parts.append(episodes)
     if verdict.worst_ns is not None:
         parts.append(f"worst {time(verdict.worst_ns)}")
     if verdict.n_effective * 1.005 < verdict.n:
@@ -103,6 +105,22 @@ def hidden_in_words(verdict: Verdict) -> str:
     return "; ".join(parts)
 
 
+def _episodes(verdict: Verdict) -> str:
+    """How often misses come, near ones as one, and how long that lasts; empty where neither is known."""
+    found = verdict.episodes
+    if found is None or (found.per_hour_at_most is None and not found.seen):
+        return ""
+    longest = "single misses" if found.longest_misses == 1 else f"the longest of {grouped(found.longest_misses)} misses"
+    if found.longest_misses > 1 and found.longest_ns is not None:
+        longest += f" within {time(found.longest_ns)}"
+    seen = f"{grouped(found.seen)} seen, {longest}" if found.seen else "none seen"
+    what = "misses" if verdict.question.tolerance == NONE_TOLERATED else "such windows"
+    if found.per_hour_at_most is None:
+        return f"episodes of {what}: {seen}"
+    most = found.per_hour_at_most
+    return f"at most {grouped(most) if most >= 100 else f'{most:.2g}'} episodes of {what} an hour ({seen})"
+
+
 def _between(verdict: Verdict) -> str:
     if verdict.lower == 0:
         return f"at most {verdict.upper:.2g}"
@@ -132,12 +150,39 @@ def _bursts_in_words(verdict: Verdict) -> str:
     return f"bursts of {grouped(whole)}" if whole > 1 else "single misses"
 
 
+def held_for(verdict: Verdict) -> str:
+    """The bursts that it holds for, as they are, where nothing else is missing."""
+    whole = math.floor(verdict.longest_burst)
+    return f"bursts of up to {grouped(whole)} misses" if whole > 1 else "misses that come singly"
+
+
+def is_short_of_bursts(verdict: Verdict) -> bool:
+    """Whether it would be proven if it had to cover misses that come singly alone."""
+    is_open = verdict.answer is Answer.NEEDS_MORE and verdict.change is None and not verdict.boots_missing
+    return is_open and 0 < verdict.longest_burst < verdict.bursts.length
+
+
+def _covered(verdict: Verdict) -> str:
+    """The bursts that a proof has to cover though nobody named them, and why; empty where somebody did."""
+    bursts = verdict.bursts
+    long = f"bursts of {grouped(bursts.length)} misses" if bursts.length > 1 else "a single miss"
+    match bursts.why:
+        case "asked":
+            return ""
+        case "stall":
+            return f"a stall of {time(STALL_NS)} ({long}, the default)"
+        case "longest seen":
+            return f"the longest episode that was seen ({long}, the default)"
+        case "period not known":
+            return f"no stall, for the period is not known ({long}, the default)"
+
+
 def _scope(verdict: Verdict) -> list[str]:
     """What a proof holds for: bursts and boots."""
-    whole = math.floor(verdict.longest_burst)
-    covered = f"holds for bursts of up to {grouped(whole)} misses" if whole > 1 else "holds for misses that come singly"
     more = [f"{amount(verdict, count)} for bursts of {length}" for length, count in verdict.further_for_bursts]
-    parts = [covered + (f" (without a miss, {', '.join(more)})" if more else ""), *_boots(verdict)]
+    parts = [f"holds for {held_for(verdict)}" + (f" (without a miss, {', '.join(more)})" if more else "")]
+    parts += [f"covers {covered}"] if (covered := _covered(verdict)) else []
+    parts += _boots(verdict)
     parts += [words for each in verdict.unlike if (words := _unlike_in_words(each))]
     parts += [_unseen_in_words(climb) for climb in verdict.climbs[:1] if climb.smallest_ns != 0]
     if verdict.unseen_share:
@@ -192,6 +237,10 @@ def _more(verdict: Verdict) -> list[str]:
         return parts
     if hidden_in_words(verdict):
         return parts
+    if is_short_of_bursts(verdict):
+        parts.append(f"for {held_for(verdict)} it already holds")
+    if verdict.bursts.length > 1:
+        parts.append(f"has to cover {_covered(verdict) or verdict.question.covered}")
     if verdict.further:
         chance = "" if verdict.misses else f" (chance of that: {100 * verdict.further_chance:.0f} %)"
         parts.append(

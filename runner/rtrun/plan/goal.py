@@ -6,7 +6,16 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from rtfiles.config import Config
 from rtrun.plan.quantities import read_probability, read_share, read_time_ns
-from rtrun.plan.question import NONE_TOLERATED, THESIS, Of, Question, Tolerance, boots_for, read_tolerance
+from rtrun.plan.question import (
+    BURSTS_MAX,
+    NONE_TOLERATED,
+    THESIS,
+    Of,
+    Question,
+    Tolerance,
+    boots_for,
+    read_tolerance,
+)
 
 Time = Annotated[int, BeforeValidator(read_time_ns)]
 Probability = Annotated[float, BeforeValidator(read_probability)]
@@ -27,8 +36,8 @@ class Goal(Config):
 
     In a file also ``{unlike: 5%}``: as many as leave at most this share of boots of another kind unseen.
     """
-    bursts: Annotated[int, Field(ge=1, le=1000)] = 1
-    """The mean length of bursts of misses that a proof must cover, even if none was seen."""
+    bursts: Annotated[int, Field(ge=1, le=BURSTS_MAX)] | None = None
+    """The mean length of bursts of misses that a proof must cover, even if none was seen; None: a stall of 10 ms."""
     of: Of | None = None
     """Which values have the deadline; None: what each suite measures, of the cyclic timer the lateness."""
     tolerate: Annotated[Tolerance, BeforeValidator(read_tolerance)] = NONE_TOLERATED

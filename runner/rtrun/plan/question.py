@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Literal
 
-from rtfiles.quantities import time
+from rtfiles.quantities import grouped, time
 
 Of = Literal["lateness", "jitter"]
 """The values that a question may name. Lateness is how late something came that was due: every latency is one."""
@@ -14,6 +14,13 @@ Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reac
 
 # So many loops are looked at together at most: a second at 1 kHz.
 AMONG_MAX = 1000
+# No goal asks for longer bursts.
+BURSTS_MAX = 1000
+# A stall that a proof has to cover unless something else is asked: a time slice or a page of flash takes that long, and
+# a loop at 1 kHz that is judged by lateness then misses ten times in a row.
+STALL_NS = 10_000_000
+# A rate that was missed by more than 1 % is no measurement (docs/analysis.md).
+_PERIOD_OFF = 0.01
 _TOLERANCE = re.compile(r"([0-9]{1,4}) (?:in a row|of ([0-9]{1,4}))", re.ASCII)
 
 
@@ -58,13 +65,20 @@ def read_tolerance(text: object) -> Tolerance:
     return Tolerance(misses=misses, among=among)
 
 
+def read_bursts(text: str) -> int:
+    """Read how many misses in a row a proof has to cover, as on a command line. Raises ValueError."""
+    if not text.isascii() or not text.isdecimal() or len(text) > 4 or not 1 <= int(text) <= BURSTS_MAX:
+        raise ValueError(f"{text[:40]!r} is no number of misses in a row, 1 to {BURSTS_MAX}")
+    return int(text)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
     """Is P(miss) of this deadline below `probability`, at this confidence, on at least so many boots?
 
     `of` are the values that have it; None: whatever the suite measures, of the cyclic timer the lateness. In the
-    question of a verdict it is what was judged, `latency` included. A proof has to cover bursts of misses of this mean
-    length, even if none was seen.
+    question of a verdict it is what was judged, `latency` included. A proof has to cover `bursts` of misses of this
+    mean length, in loops of one stream, even if none was seen; None: what `bursts_asked` says.
     """
 
     of: Measure | None = None
@@ -73,14 +87,16 @@ class Question:
     probability: float = 1e-6
     confidence: float = 0.95
     boots: int = 1
-    bursts: int = 1
+    bursts: int | None = None
     is_deadline_stated: bool = field(default=False, compare=False)
     """Whether somebody named the deadline: it then comes before those that runs were measured for."""
 
     @property
     def covered(self) -> str:
         """The bursts that a proof has to cover, in words."""
-        return f"bursts of up to {self.bursts} misses" if self.bursts > 1 else "misses that come singly"
+        if self.bursts is None:
+            return f"a stall of {time(STALL_NS)}"
+        return f"bursts of up to {grouped(self.bursts)} misses" if self.bursts > 1 else "misses that come singly"
 
     @property
     def miss(self) -> str:
@@ -89,6 +105,37 @@ class Question:
         if self.tolerance == NONE_TOLERATED:
             return late
         return f"more than {self.tolerance} with {late}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bursts:
+    """The mean length of bursts of misses, in loops of one stream, that a proof has to cover, and why that."""
+
+    length: int
+    why: Literal["asked", "stall", "longest seen", "period not known"]
+
+
+def bursts_asked(asked: Question, period_ns: float | None = None, longest_seen: int = 1) -> Bursts:
+    """What was asked for, else a stall of `STALL_NS`, or the longest episode that was seen, in misses.
+
+    `period_ns` is that of one stream; where it is not known nobody knows how many misses a stall makes, and they come
+    singly. Where some are tolerated, what is counted are the windows with too many misses: a stall of L loops makes
+    L - N ends of more than N in a row, and L + M - 1 - 2 N windows of M loops that hold more than N.
+    """
+    if asked.bursts is not None:
+        return Bursts(length=asked.bursts, why="asked")
+    in_a_stall = 1 if period_ns is None else _late_in_a_stall(asked.tolerance, period_ns)
+    if longest_seen > in_a_stall:
+        return Bursts(length=longest_seen, why="longest seen")
+    return Bursts(length=in_a_stall, why="period not known" if period_ns is None else "stall")
+
+
+def _late_in_a_stall(tolerance: Tolerance, period_ns: float) -> int:
+    loops = STALL_NS / max(period_ns, 1.0)
+    # A period that was measured is not a whole part of the stall: 0.9999 ms are no reason for an eleventh loop.
+    whole = max(1, round(loops) if loops <= round(loops) * (1 + _PERIOD_OFF) else math.ceil(loops))
+    # A stall that is tolerated leaves what other misses make.
+    return 1 if whole <= tolerance.misses else whole + tolerance.among - 1 - 2 * tolerance.misses
 
 
 def may_follow(first: Question, later: Question) -> bool:
@@ -101,8 +148,11 @@ def may_follow(first: Question, later: Question) -> bool:
     return (later.of, later.tolerance, later.deadline_ns) == (first.of, first.tolerance, first.deadline_ns)
 
 
-def weaker(goal: Question, asked: Question) -> tuple[str, ...]:
-    """In what a question asks less than a goal, a few words each, or asks something else."""
+def weaker(goal: Question, asked: Question, bursts_by_default: int = 1) -> tuple[str, ...]:
+    """In what a question asks less than a goal, a few words each, or asks something else.
+
+    `bursts_by_default` is what a proof has to cover of what was measured where nobody says how long bursts are.
+    """
     parts = []
     if asked.of != goal.of:
         parts.append(f"of the {asked.of or 'lateness'}, not of the {goal.of or 'lateness'}")
@@ -114,6 +164,8 @@ def weaker(goal: Question, asked: Question) -> tuple[str, ...]:
         parts.append(f"a confidence of {asked.confidence:g}, not {goal.confidence:g}")
     if not asked.tolerance.is_within(goal.tolerance):
         parts.append(f"misses tolerated: {asked.tolerance}, not {goal.tolerance}")
+    if (asked.bursts or bursts_by_default) < (goal.bursts or bursts_by_default):
+        parts.append(f"covering {asked.covered}, not {goal.covered}")
     return tuple(parts)
 
 

@@ -4,7 +4,7 @@ A group is a planned run of the campaign. Its run in a round is that run repeate
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from rtrun.plan.run import RESTART_S, SET_UP_S, Run, interleave
@@ -46,7 +46,7 @@ def rounds_for(group: Run, measurements: int) -> int:
     return math.ceil(measurements / measurements_of(group))
 
 
-def rounds_of_boot(groups: Sequence[Run], measurements: int, boots: int) -> int:
+def rounds_of_boot(groups: Sequence[Run], measurements: Mapping[str, int], boots: int) -> int:
     """How many rounds are measured on one boot, so that so many measurements of each group need so many boots.
 
     At least 1: where fewer rounds than boots would do, each round is on a boot of its own. So it is where nobody knows
@@ -54,7 +54,7 @@ def rounds_of_boot(groups: Sequence[Run], measurements: int, boots: int) -> int:
     """
     if any(group.observation or group.topology for group in groups):
         return 1
-    return max(1, max(rounds_for(group, measurements) for group in groups) // boots)
+    return max(1, max(rounds_for(group, measurements[group.name]) for group in groups) // boots)
 
 
 def boot_of_round(number: int, boot_rounds: int) -> int:
@@ -67,13 +67,13 @@ def joined_s(groups: Sequence[Run], rounds: int, *, boots: int, boot_rounds: int
     return min(group.expected_s for group in groups) * (boot_rounds if boots > 1 else rounds)
 
 
-def outlook(groups: Sequence[Run], measurements: int, *, boots: int, boot_rounds: int) -> Outlook:
-    """How long it takes until each group has so many measurements, on at least so many boots of `boot_rounds` rounds.
+def outlook(groups: Sequence[Run], measurements: Mapping[str, int], *, boots: int, boot_rounds: int) -> Outlook:
+    """How long it takes until each group has its measurements, on at least so many boots of `boot_rounds` rounds.
 
     A group leaves the rounds when it has them.
     """
     least = (boots - 1) * boot_rounds + 1
-    rounds = {group.name: max(least, rounds_for(group, measurements)) for group in groups}
+    rounds = {group.name: max(least, rounds_for(group, measurements[group.name])) for group in groups}
     most = max(rounds.values())
     restarts = boot_of_round(most, boot_rounds) if boots > 1 else 0
     return Outlook(

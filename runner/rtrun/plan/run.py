@@ -79,6 +79,11 @@ class Run:
         return self._measuring_s(MEASUREMENT_COST_S)
 
     @property
+    def period_ns(self) -> float | None:
+        """From one measurement to the next at least; None where what is observed says how far apart they are."""
+        return suites.period_of(self.parameters)
+
+    @property
     def settle_s(self) -> float:
         """How long the background programs are waited for before the suite starts, in seconds."""
         return conditions.settle_s(self.condition, self.settings)

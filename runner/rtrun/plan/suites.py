@@ -431,6 +431,16 @@ def _log_pattern(suite_name: str) -> re.Pattern[str]:
     return re.compile(rf"(?P<prefix>.*?){pattern}\.log", re.DOTALL)
 
 
+def period_of(parameters: Mapping[str, Value]) -> float | None:
+    """How long one measurement takes at least, in ns, from the parameters; None when they do not tell."""
+    for key in ("timeout_us", "interval_us"):
+        value = parameters.get(key)
+        if isinstance(value, int) and value > 0:
+            return value * 1e3
+    frequency_hz = parameters.get("frequency_hz")
+    return 1e9 / frequency_hz if isinstance(frequency_hz, int) and frequency_hz > 0 else None
+
+
 def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
     """The parameters that tell what was measured: runs in which they are the same are alike.
 

@@ -81,7 +81,7 @@ def _question(study: Study) -> str:
         return "What follows are figures alone: which values are late, a deadline says."
     asked = study.asked
     boots = f", on at least {asked.boots} boots" if asked.boots > 1 else ""
-    bursts = f", covering {asked.covered}" if asked.bursts > 1 else ""
+    bursts = f", covering {asked.covered}" if asked.bursts != 1 else ""
     return (
         f"Is P({study.miss}) below {asked.probability:g}{boots}{bursts}? "
         f"Confidence {100 * asked.confidence:g} %, two-sided."

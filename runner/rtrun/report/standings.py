@@ -11,7 +11,7 @@ from rtrun.analysis.standing import Standing
 from rtrun.analysis.stationarity import Change
 from rtrun.execution.goal import Progress
 from rtrun.judgement.study import Study
-from rtrun.judgement.verdicts import amount, hidden_in_words, scope_in_short
+from rtrun.judgement.verdicts import amount, held_for, hidden_in_words, is_short_of_bursts, scope_in_short
 from rtrun.plan.goal import Goal
 from rtrun.report.screen import fitted
 
@@ -109,6 +109,8 @@ def missing(standing: Standing) -> str:
     if verdict.change is not None:
         return _changed(verdict.change)
     parts = [_count(verdict.boots_missing, "boot")] if verdict.boots_missing else []
+    if is_short_of_bursts(verdict):
+        parts.append(f"for {held_for(verdict)} it already holds")
     if not verdict.misses and verdict.further:
         chance = f" (chance of that: {100 * verdict.further_chance:.0f} %)" if verdict.further_chance < 0.995 else ""
         parts.append(f"{amount(verdict, verdict.further, 'more')} without a miss{chance}")

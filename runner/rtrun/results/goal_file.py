@@ -41,8 +41,9 @@ def write_goal(results: Path, goal: Goal) -> None:
         "confidence": goal.confidence,
         "at_most": f"{goal.at_most_ns}ns",
         "boots": goal.boots,
-        "bursts": goal.bursts,
     }
+    if goal.bursts is not None:
+        written["bursts"] = goal.bursts
     if goal.deadline_ns is not None:
         written["deadline"] = f"{goal.deadline_ns}ns"
     if goal.tolerate != NONE_TOLERATED:

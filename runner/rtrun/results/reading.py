@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rtfiles.errors import UsageError
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import log_names
+from rtrun.plan.suites import log_names, period_of
 from rtrun.plan.trace import WARM_UP
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers import samples_file
@@ -20,7 +20,6 @@ from rtrun.results.samples import EMPTY_BYTES, read_samples
 from rtrun.results.series import (
     Result,
     Series,
-    period_of,
     results_of,
     series_of_histogram,
     series_of_imported_samples,

@@ -3,7 +3,7 @@
 The start-up values are set apart here, so that they stand apart in all that is said of the series.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ from rtrun.analysis.histogram import Histogram, Int64s
 from rtrun.kinds.known import MAIN_2014, called, startup_loops
 from rtrun.kinds.output import InEffect
 from rtrun.plan.question import Measure
-from rtrun.plan.suites import Value, judged, measures, suite
+from rtrun.plan.suites import Value, judged, measures, period_of, suite
 from rtrun.results.samples import Samples, read_samples
 from rtrun.targets.inspection.platform import Platform
 
@@ -279,13 +279,3 @@ def _header_of(imported: "Imported | ImportedSamples", of: Measure | None, undec
         undecidable=undecidable,
         remarks=tuple(f"not known: {text}" for text in imported.left_out),
     )
-
-
-def period_of(parameters: Mapping[str, Value]) -> float | None:
-    """How long one measurement takes at least, in ns, from the parameters; None when they do not tell."""
-    for key in ("timeout_us", "interval_us"):
-        value = parameters.get(key)
-        if isinstance(value, int) and value > 0:
-            return value * 1e3
-    frequency_hz = parameters.get("frequency_hz")
-    return 1e9 / frequency_hz if isinstance(frequency_hz, int) and frequency_hz > 0 else None

@@ -16,8 +16,9 @@ from rtrun.plan.question import Question, Tolerance
 DEADLINE = 400_000
 
 
-def verdict(*runs: Trials, probability: float = 1e-3, **measured: Any) -> Verdict:
-    return judge(runs, Question(deadline_ns=DEADLINE, probability=probability), Circumstances(**measured))
+def verdict(*runs: Trials, probability: float = 1e-3, bursts: int | None = 1, **measured: Any) -> Verdict:
+    question = Question(deadline_ns=DEADLINE, probability=probability, bursts=bursts)
+    return judge(runs, question, Circumstances(**measured))
 
 
 def with_misses(n: int, *positions: int) -> np.ndarray:
@@ -86,7 +87,7 @@ def test_a_histogram_says_what_it_assumes() -> None:
 def test_subscribers_of_one_message_count_once() -> None:
     runs = [count_misses(with_misses(1000 + k), DEADLINE) for k in range(5)]
     assert verdict(*runs).answer == Answer.PROVEN
-    assert verdict(*runs, measurements_per_event=5).answer == Answer.NEEDS_MORE
+    assert verdict(*runs, side_by_side=5).answer == Answer.NEEDS_MORE
 
 
 @pytest.mark.parametrize("wrong", [0.0, 1.0, -1.0, float("nan")])

@@ -88,7 +88,14 @@ def rounds_of(board, groups, wanted):
         evaluate=lambda: board.evaluate(groups),
         spent_s=lambda: board.spent_s,
     )
-    return rounds(groups, wanted, 7, NEEDED, findings, lambda progress, _: board.told.append(progress))
+    return rounds(
+        groups,
+        wanted,
+        7,
+        {group.name: NEEDED for group in groups},
+        findings,
+        lambda progress, _: board.told.append(progress),
+    )
 
 
 def measure(board, groups, wanted, *, calls=10**9):

@@ -14,8 +14,8 @@ from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.question import Question
 
 TARGET = {"kernel_release": "6.1.0-rt", "kernel_version": "#1 SMP PREEMPT_RT", "cpus": 2, "governor": "performance"}
-QUESTION = Question(probability=1e-3)
-WORDS = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95"]
+QUESTION = Question(probability=1e-3, bursts=1)
+WORDS = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95", "--bursts", "1"]
 
 
 def write(root, board, boot="", *, late=0, n=2500, name=None, **target):

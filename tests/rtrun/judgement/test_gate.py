@@ -24,7 +24,7 @@ def test_a_proof_passes(tmp_path, capsys):
     write_oneshot(tmp_path / "r")
     junit = tmp_path / "gate.xml"
     junit.symlink_to("elsewhere.xml")
-    question = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95"]
+    question = ["--deadline", "400us", "--probability", "1e-3", "--bursts", "1", "--confidence", "0.95"]
     assert main(["gate", str(tmp_path / "r"), *question, "--junit", str(junit)]) == 0
     assert capsys.readouterr().out.splitlines()[0] == "passed"
     assert junit.is_symlink() and ElementTree.parse(junit).getroot().attrib["failures"] == "0"
@@ -33,9 +33,9 @@ def test_a_proof_passes(tmp_path, capsys):
 def test_a_log_without_order_passes_only_when_told_to(tmp_path, capsys):
     folder = write_oneshot(tmp_path, logs=True)
     log = str(next(folder.glob("*measured.log")))
-    assert main(["gate", log, "--probability", "1e-3"]) == 1
+    assert main(["gate", log, "--probability", "1e-3", "--bursts", "1"]) == 1
     assert "FAIL  PROVEN IF INDEPENDENT" in capsys.readouterr().out
-    assert main(["gate", log, "--probability", "1e-3", "--assume-independent"]) == 0
+    assert main(["gate", log, "--probability", "1e-3", "--bursts", "1", "--assume-independent"]) == 0
 
 
 def test_runs_of_one_name_that_were_put_together_are_runs_of_their_own(tmp_path, capsys):
@@ -44,7 +44,7 @@ def test_runs_of_one_name_that_were_put_together_are_runs_of_their_own(tmp_path,
         values = latencies(10_000, len(late), 90.0)
         values[late] = 500_000
         oneshot_run(tmp_path, folder, values, run="001", target={"name": "board", "boot_id": boot})
-    question = [str(tmp_path), "--deadline", "400us", "--probability", "1e-3", "--json"]
+    question = [str(tmp_path), "--deadline", "400us", "--probability", "1e-3", "--bursts", "1", "--json"]
     assert main(["gate", *question]) == 1
     capsys.readouterr()
     main(["verdict", *question])
@@ -54,7 +54,10 @@ def test_runs_of_one_name_that_were_put_together_are_runs_of_their_own(tmp_path,
 
 @pytest.mark.parametrize(
     ("question", "answer"),
-    [(["--probability", "1e-6"], "NEEDS MORE"), (["--deadline", "0.09ms", "--probability", "1e-3"], "REFUTED")],
+    [
+        (["--probability", "1e-6"], "NEEDS MORE"),
+        (["--deadline", "0.09ms", "--probability", "1e-3", "--bursts", "1"], "REFUTED"),
+    ],
 )
 def test_too_little_and_too_late_fail(tmp_path, capsys, question, answer):
     write_oneshot(tmp_path)
@@ -65,7 +68,7 @@ def test_too_little_and_too_late_fail(tmp_path, capsys, question, answer):
 
 def test_emulated_results_never_pass(tmp_path, capsys):
     write_oneshot(tmp_path, platform="emulated")
-    assert main(["gate", str(tmp_path), "--probability", "1e-2"]) == 1
+    assert main(["gate", str(tmp_path), "--probability", "1e-2", "--bursts", "1"]) == 1
     printed = capsys.readouterr().out
     assert printed.startswith("EMULATED") and "FAIL  not a real-time statement" in printed
 
@@ -99,7 +102,7 @@ def test_why_no_scenario_has_an_answer_is_printed_once(emulated, tmp_path, capsy
 
 def test_a_proof_from_a_virtual_machine_passes_only_when_told_to(tmp_path, capsys):
     write_oneshot(tmp_path, platform="virtual")
-    question = ["gate", str(tmp_path), "--probability", "1e-3"]
+    question = ["gate", str(tmp_path), "--probability", "1e-3", "--bursts", "1"]
     assert main(question) == 1
     printed = capsys.readouterr().out
     assert printed.startswith("VIRTUAL: verdicts are for this virtual machine on this host\nfailed\n")
@@ -135,7 +138,7 @@ def test_two_platforms_are_not_compared(tmp_path, capsys):
 def test_a_failed_run_does_not_pass_unseen(tmp_path, capsys):
     write_oneshot(tmp_path)
     write_oneshot(tmp_path, "b", status="failed", reason="the link was lost")
-    assert main(["gate", str(tmp_path), "--probability", "1e-3"]) == 1
+    assert main(["gate", str(tmp_path), "--probability", "1e-3", "--bursts", "1"]) == 1
     assert "NOT ANALYSED" in capsys.readouterr().out
 
 
@@ -145,7 +148,7 @@ def test_what_a_restart_cut_off_is_named_and_counts_as_late(tmp_path, capsys):
     write_oneshot(tmp_path, "a.warm-up")
     for name in ("a", "a.warm-up"):
         (tmp_path / f"{name}.incomplete-1").mkdir()
-    question = ["gate", str(tmp_path), "--probability", "1e-3"]
+    question = ["gate", str(tmp_path), "--probability", "1e-3", "--bursts", "1"]
     assert main(question) == 1
     printed = capsys.readouterr().out
     assert re.search(r"^pass  REPEATED +a.incomplete-1 +-", printed, re.M)
@@ -163,7 +166,7 @@ def test_a_run_that_failed_when_it_was_repeated_does_not_pass(tmp_path, capsys):
     write_oneshot(tmp_path, "a")
     write_oneshot(tmp_path, "b", status="failed", reason="the link was lost")
     (tmp_path / "b.incomplete-1").mkdir()
-    assert main(["gate", str(tmp_path), "--probability", "1e-3"]) == 1
+    assert main(["gate", str(tmp_path), "--probability", "1e-3", "--bursts", "1"]) == 1
     printed = capsys.readouterr().out
     assert re.search(r"^FAIL  NOT ANALYSED  b +-", printed, re.M) and "b: failed" in printed
 
@@ -182,7 +185,7 @@ COSTS = {"major_faults": 1, "voluntary_switches": 5000, "involuntary_switches": 
 def test_a_program_with_page_faults_fails_where_they_are_asked_for(tmp_path, capsys, costs, allowed, says):
     program = {"name": "oneshot_timer_tests", "argv": ["x"], "exit_status": 0, "costs": costs, "loops": 5000}
     write_oneshot(tmp_path, programs=[program])
-    question = ["gate", str(tmp_path), "--probability", "1e-2"]
+    question = ["gate", str(tmp_path), "--probability", "1e-2", "--bursts", "1"]
     assert main(question) == 0
     capsys.readouterr()
     assert main([*question, "--max-page-faults", str(allowed)]) == (1 if says else 0)
@@ -195,7 +198,7 @@ def test_page_faults_of_the_processes_of_a_topology_count_and_of_observed_progra
         write_oneshot(tmp_path / suite)
         (tmp_path / suite / "b").mkdir()
         write_record(tmp_path / suite / "b", suite, [], {}, programs=programs, subject="attached")
-        question = ["gate", str(tmp_path / suite), "--probability", "1e-2"]
+        question = ["gate", str(tmp_path / suite), "--probability", "1e-2", "--bursts", "1"]
         assert main(question) == 0
         capsys.readouterr()
         if says == "nobody counted":
@@ -215,7 +218,7 @@ def test_what_has_no_deadline_fails_by_a_case(tmp_path, capsys):
     write_stream(tmp_path / "a", "a", stream, Provenance(version="1", host="x", kernel=kernel, **times), [])
     write_record(tmp_path / "a", stream.suite, ["a"], parameters, subject="attached")
     junit = tmp_path / "gate.xml"
-    assert main(["gate", str(tmp_path), "--probability", "1e-2", "--junit", str(junit)]) == 1
+    assert main(["gate", str(tmp_path), "--probability", "1e-2", "--bursts", "1", "--junit", str(junit)]) == 1
     assert "nothing that was measured has a deadline" in capsys.readouterr().out
     assert ElementTree.parse(junit).getroot().attrib["failures"] == "1"
 

@@ -9,7 +9,7 @@ from rtrun.cli import main
 from rtrun.judgement.standings import standings
 from rtrun.judgement.study import study
 
-QUESTION = ["--deadline", "400us", "--probability", "1e-3"]
+QUESTION = ["--deadline", "400us", "--probability", "1e-3", "--bursts", "1"]
 TOLD = "1 of 3 attempts gave no values ("
 
 

@@ -13,7 +13,7 @@ from rtrun.judgement.verdicts import scope_in_short, sentences
 from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance, boots_for, read_tolerance, unlike_share
 from rtrun.report.compare import _ratio
 
-QUESTION = Question(probability=1e-3)
+QUESTION = Question(probability=1e-3, bursts=1)
 PERIOD_NS = 1e6
 
 
@@ -55,7 +55,7 @@ ADDED = "for the system measure on 5 boots or more"
         (
             trials(4000),
             replace(QUESTION, of="lateness"),
-            "0 of 4 000 late; P(lateness > 400 us) at most 0.00092; worst",
+            "0 of 4 000 late; P(lateness > 400 us) at most 0.00092; at most 3 318 episodes of",
         ),
         (
             trials(4000, 7, of=TWO),
@@ -86,6 +86,7 @@ def test_a_change_is_said_before_anything_else():
         "it did not stay the same: it rose (p = 1e-09)",
         "0 of 4 000 late",
         "P(value > 400 us) at most 0.00092",
+        "at most 3 318 episodes of misses an hour (none seen)",
         "worst 51.00 us",
         "a load that comes and goes is part of the process once it has come back five times: "
         "60 000 more measurements (1 min 00 s)",

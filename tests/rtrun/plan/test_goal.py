@@ -16,6 +16,7 @@ from rtrun.results.goal_file import read_goal, write_goal
 
 INTERLEAVED = "order: interleaved\nseed: 7\n"
 UNTIL = "until: {deadline: 400us, probability: 1e-6, confidence: 0.95, at_most: 8h, boots: 8}\n"
+SINGLY = UNTIL.replace("boots: 8", "boots: 8, bursts: 1")
 RUNS = "runs: [{suite: cyclic_timer_tests, policy: [RR, FIFO]}]\n"
 
 
@@ -155,7 +156,7 @@ def test_bad_variants_are_usage_errors_that_name_the_key(tmp_path, text, message
 
 
 def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
-    text = INTERLEAVED + UNTIL + "runs: [{suite: cyclic_timer_tests, repetitions: 250002, policy: [RR, FIFO]}]\n"
+    text = INTERLEAVED + SINGLY + "runs: [{suite: cyclic_timer_tests, repetitions: 250002, policy: [RR, FIFO]}]\n"
     path = write(tmp_path, text)
     assert main(["plan", str(path), "--assume-rate", "1e-7"]) == 0
     scope, best, assumed, *bursts, load, longer = capsys.readouterr().out.splitlines()[-7:]
@@ -179,8 +180,36 @@ def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
     assert "the campaign has no goal (until)" in capsys.readouterr().err
 
 
+def test_the_plan_counts_on_a_stall_of_10_ms(tmp_path, capsys):
+    runs = "runs: [{suite: cyclic_timer_tests, repetitions: 250002, frequency_hz: FREQUENCIES}]\n"
+    goal = UNTIL.replace(", boots: 8", "")
+
+    def planned(frequencies, until=goal):
+        path = write(tmp_path, INTERLEAVED + until + runs.replace("FREQUENCIES", frequencies))
+        assert main(["plan", str(path)]) == 0
+        lines = [line for line in capsys.readouterr().out.splitlines() if "load" not in line]
+        scope, best, *prices = lines[[line.startswith("on 1 boot") for line in lines].index(True) :]
+        return scope.split("; ")[1], best, [line.split(":")[0] for line in prices]
+
+    def rounds(best):
+        return int(best.split("PROVEN after ")[1].split()[0])
+
+    scope, best, prices = planned("[1000]")
+    assert scope == "a proof covers a stall of 10 ms (bursts of 10, the default)"
+    assert prices == [
+        f"to cover {what}" for what in ("single misses (bursts", "bursts of 5 (bursts", "bursts of 20 (bursts")
+    ]
+    assert rounds(best) == -(-36_888_777 // 250_000)
+    assert rounds(planned("[1000]", goal.replace("at_most", "bursts: 10, at_most"))[1]) == rounds(best)
+    assert planned("[100]")[0] == "a proof covers a stall of 10 ms (a single miss, the default)"
+    assert rounds(planned("[100]")[1]) == 15
+    # Each group has to cover what a stall is at its own period.
+    scope, both, _ = planned("[100, 1000]")
+    assert scope == "a proof covers a stall of 10 ms (bursts of 1 to 10, the default)" and rounds(both) == rounds(best)
+
+
 def test_the_plan_for_programs(tmp_path, capsys):
-    text = INTERLEAVED + UNTIL + "runs: [{suite: cyclic_timer_tests, repetitions: 250002, policy: [RR, FIFO]}]\n"
+    text = INTERLEAVED + SINGLY + "runs: [{suite: cyclic_timer_tests, repetitions: 250002, policy: [RR, FIFO]}]\n"
     path = write(tmp_path, text)
     assert main(["plan", str(path), "--json", "--assume-rate", "1e-6"]) == 0
     data = json.loads(capsys.readouterr().out)

@@ -10,7 +10,7 @@ from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtfiles.untrusted import read_bytes
 from rtrun.kinds.known import kind_of
-from rtrun.plan.suites import Value
+from rtrun.plan.suites import Value, period_of
 from rtrun.results import run_directory
 from rtrun.results.gnuplot_lines import MAX_SIZE_BYTES
 from rtrun.results.gnuplot_log import read_log
@@ -21,7 +21,6 @@ from rtrun.results.importers.identity import Identity, target_facts, times
 from rtrun.results.importers.origin import NOWHERE, FileOrigin
 from rtrun.results.importers.samples_file import ImportedSamples, write_samples
 from rtrun.results.record import RunRecord, RunStatus
-from rtrun.results.series import period_of
 from rtrun.targets.inspection.platform import Platform
 
 NOBODY_KNOWS = Identity()

@@ -9,7 +9,7 @@ from typing import Any
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import lines_of
 from rtrun.plan.limits import CPU_DMA_LATENCY_MAX_US, CPUS_MAX
-from rtrun.plan.suites import Value
+from rtrun.plan.suites import Value, period_of
 from rtrun.plan.topology.rates import cpus_text
 from rtrun.results.importers.command_line import Command, read_command
 from rtrun.results.importers.counts import (
@@ -30,7 +30,6 @@ from rtrun.results.importers.counts import (
 )
 from rtrun.results.importers.histogram_file import Imported
 from rtrun.results.importers.origin import NOWHERE, FileOrigin, read_origin
-from rtrun.results.series import period_of
 
 NO_UNIT = "whether -N changed the unit: microseconds are assumed"
 NO_OPTIONS = "policy, priority, CPUs and other options: runs that do not tell them are taken as alike"

@@ -1,0 +1,72 @@
+"""Misses that lie near one another are one episode: how many there are, how long they last, and how often they come.
+
+How often says what no P(miss) does: a bound on it needs no assumption about how long episodes are.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtrun.analysis.dependence import Events, locate
+from rtrun.analysis.histogram import Int64s
+from rtrun.plan.question import STALL_NS
+
+_NS_PER_HOUR = 3.6e12
+# So many places where episodes begin are kept: enough for the exact test of few.
+_FEW = 20
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class FoundEpisodes:
+    """The episodes of one output of a run: where they begin, and the longest, in misses and from end to end in loops.
+
+    ``begun_at`` are the loop positions of the first ones, int64 (e,).
+    """
+
+    begun: Events
+    begun_at: Int64s
+    longest_misses: int
+    longest_loops: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Episodes:
+    """The episodes of all runs of a verdict: how many were ``seen``, the longest, and how often they come at most.
+
+    ``longest_ns`` is None where the period is not known. ``per_hour_at_most`` bounds the episodes in an hour of a
+    stream at the confidence asked for, however often somebody looks; None where nothing does.
+    """
+
+    seen: int
+    longest_misses: int
+    longest_ns: float | None
+    per_hour_at_most: float | None
+
+
+def gap_loops(period_ns: float | None) -> int:
+    """From one miss to the next of the same episode are at most so many loops: 10 ms, but two at least.
+
+    A stall that a proof covers by default (`STALL_NS`) is then one episode, whatever is in time within it. With two
+    loops, a loop in time between two misses ends no episode of a slow stream, nor of one whose period nobody knows.
+    """
+    return 2 if period_ns is None else max(2, math.floor(STALL_NS / max(period_ns, 1.0) + 0.5))
+
+
+def find_episodes(misses: Int64s, loops: int, period_ns: float | None) -> FoundEpisodes:
+    """Join misses, ascending loop positions int64 (k,) among `loops`, to episodes."""
+    starts = np.flatnonzero(np.diff(misses, prepend=np.iinfo(np.int64).min // 2) > gap_loops(period_ns))
+    begun_at = misses[starts]
+    sizes = np.diff(starts, append=misses.size)
+    spans = misses[starts + sizes - 1] - begun_at + 1
+    return FoundEpisodes(
+        begun=locate(begun_at, loops),
+        begun_at=begun_at[:_FEW],
+        longest_misses=int(sizes.max(initial=0)),
+        longest_loops=int(spans.max(initial=0)),
+    )
+
+
+def per_hour(per_loop: float, period_ns: float) -> float:
+    """How many come in an hour, of so many in a loop."""
+    return per_loop * _NS_PER_HOUR / period_ns
