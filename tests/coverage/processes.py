@@ -6,6 +6,7 @@ dependent as a whole.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -49,6 +50,45 @@ def clumps(n: int, p: float, rng: Rng, *, size: int, coarse: bool = False) -> In
     values = np.full(n, 50_000) if coarse else quiet(n, rng)
     starts = rng.integers(0, n - size, rng.binomial(n, p))
     values[(starts[:, None] + np.arange(size)).ravel()] = MISS_NS
+    return values
+
+
+GAP = 10
+"""Loops at 1 kHz within which two misses are of one episode."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lengths:
+    """How long episodes are: `chance[j]` that one has more than j misses."""
+
+    chance: np.ndarray
+
+    @property
+    def mean(self) -> float:
+        return float(self.chance.sum())
+
+    def draw(self, number: int, rng: Rng) -> Int64s:
+        return np.searchsorted(-self.chance, -rng.random(number), side="left").astype(np.int64)
+
+
+LENGTHS = {
+    "always 10": Lengths(chance=np.ones(10)),
+    "geometric, mean 10": Lengths(chance=0.9 ** np.arange(400)),
+    "heavy (Pareto 1.5), 3 to 1000": Lengths(chance=np.minimum(1, (3 / np.arange(1.0, 1001)) ** 1.5)),
+}
+
+
+def episodes(n: int, rate: float, rng: Rng, *, lengths: Lengths) -> Int64s:
+    """Consecutive misses, `rate` of them begin in a loop; the time between is GAP loops and geometric beyond these."""
+    values = quiet(n, rng)
+    between = 1 / rate - lengths.mean - GAP
+    lead = round(20 / rate)  # so long before, how it began is forgotten
+    number = 60 + round(2 * (n + lead) * rate)
+    sizes = lengths.draw(number, rng)
+    starts = np.cumsum(rng.geometric(1 / between, number) + GAP + np.concatenate(([0], sizes[:-1]))) - lead
+    assert starts[-1] > n
+    for start, size in zip(starts, sizes, strict=True):
+        values[max(0, start) : max(0, start + size)] = MISS_NS
     return values
 
 

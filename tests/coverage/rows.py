@@ -16,7 +16,7 @@ import late_values
 import null_campaigns
 import numpy as np
 import processes
-from processes import DEADLINE_NS, Int64s, Rng
+from processes import DEADLINE_NS, Int64s, Lengths, Rng
 from report.campaigns import cyclic_rows
 from written import write_output
 
@@ -26,6 +26,7 @@ from rtrun.analysis.comparison import ComparisonAnswer, compare, correct
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Circumstances, Verdict, judge
 from rtrun.analysis.distributions import Floats
+from rtrun.analysis.episodes import FoundEpisodes
 from rtrun.analysis.further import proves, smallest
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.intervals import anytime_upper, clopper_pearson
@@ -36,7 +37,7 @@ from rtrun.analysis.units import CountedRun
 from rtrun.judgement import study as studies
 from rtrun.judgement.study import study
 from rtrun.plan import question as questions
-from rtrun.plan.question import Of, Question, Tolerance, read_tolerance
+from rtrun.plan.question import Bursts, Of, Question, Tolerance, read_tolerance
 from rtrun.results.series import SampleSeries, read_file
 
 SEED = 20140715
@@ -83,7 +84,7 @@ def trials_of(values: Int64s, number: int, boot: str) -> Trials:
     return replace(count_misses(values, DEADLINE_NS), run=str(number), boot=boot, start_time=f"{number:04d}")
 
 
-QUESTION = Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6))
+QUESTION = Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6), bursts=1)
 
 
 def judged(trials: Sequence[Trials], question: Question = QUESTION) -> Verdict:
@@ -146,6 +147,51 @@ def proven_for(length: float, n: int, rng: Rng) -> bool:
     """PROVEN, and said to hold for bursts of this length."""
     verdict = verdict_on([processes.bursts(n, P, rng, length=length)])
     return verdict.answer == Answer.PROVEN and verdict.longest_burst >= length
+
+
+AT_1_KHZ = Circumstances(period_ns=1e6)
+
+
+def verdict_at_1_khz(runs: Sequence[Int64s], *, one_boot: bool = True) -> Verdict:
+    """The verdict on runs of one boot, or of a boot each, of a stream at 1 kHz, with the bursts of the default."""
+    trials = [
+        replace(trials_of(values, k, "boot" if one_boot else str(k)), episodes=_episodes_at_1_khz(values))
+        for k, values in enumerate(runs)
+    ]
+    with patch.object(deadline, "likely_further", lambda *_: None):
+        return judge(trials, replace(QUESTION, bursts=None), AT_1_KHZ)
+
+
+def _episodes_at_1_khz(values: Int64s) -> FoundEpisodes | None:
+    return count_misses(values, DEADLINE_NS, period_ns=AT_1_KHZ.period_ns).episodes
+
+
+def proven_at_1_khz(make: Callable[[Rng], Int64s], rng: Rng) -> bool:
+    return verdict_at_1_khz([make(rng)]).answer == Answer.PROVEN
+
+
+def come_oftener_than_said(lengths: Lengths, rate: float, n: int, looks: int, rng: Rng) -> bool:
+    """Whether at any look after a run of n loops the bound on episodes an hour is below the truth."""
+    runs: list[Int64s] = []
+    for _ in range(looks):
+        runs.append(processes.episodes(n, rate, rng, lengths=lengths))
+        if _is_too_low(verdict_at_1_khz(runs), rate):
+            return True
+    return False
+
+
+def come_oftener_than_said_of_boots(number: int, sd: float, rng: Rng) -> bool:
+    """The same of boots, whose rates of episodes are lognormal."""
+    rate = 1 / 2000
+    rates = rate * np.exp(rng.normal(-(sd**2) / 2, sd, number))
+    lengths = processes.LENGTHS["always 10"]
+    runs = [processes.episodes(40_000, min(each, 1 / 30), rng, lengths=lengths) for each in rates]
+    return _is_too_low(verdict_at_1_khz(runs, one_boot=False), rate)
+
+
+def _is_too_low(verdict: Verdict, rate: float) -> bool:
+    assert verdict.episodes is not None and verdict.episodes.per_hour_at_most is not None
+    return verdict.episodes.per_hour_at_most < 3.6e6 * rate
 
 
 def proven_at_any_look(looks: int, n: int, rng: Rng) -> bool:
@@ -411,6 +457,15 @@ def _plain_interval(misses: float, n: float, effect: float, question: Question) 
     return 1.0 if upper < question.probability else 0.0
 
 
+def _singly(*_: object) -> Bursts:
+    """As if a stall were a miss."""
+    return Bursts(length=1, why="asked")
+
+
+def _one_look(k: float, n: float, confidence: float) -> float:
+    return clopper_pearson(k, n, 2 * confidence - 1)[1]
+
+
 def _any_burst(misses: float, n: float, effect: float, question: Question) -> float:
     """As if bursts that were not seen were none."""
     return 1e9 if anytime_upper(misses / effect, n / effect, question.confidence) < question.probability else 0.0
@@ -555,6 +610,35 @@ ROWS = [
             remedy=(deadline, "longest_burst", _any_burst),
         )
         for length in (5, 20)
+    ),
+    *(
+        Row(
+            name=f"stalls of 10 ms at 1 kHz, the bursts of the default, n = {n:.0e}",
+            draw=partial(proven_at_1_khz, partial(processes.clumps, n, P / 10, size=10)), at_most=5.0,
+            quick=60 if n < 40_000 else 0, reported=reported,
+            remedy=(deadline, "bursts_asked", _singly) if n < 40_000 else None,
+        )
+        for n, reported in ((4000, "69"), (10_000, "45"), (40_000, ""))
+    ),
+    Row(
+        name="independent at 1 kHz, the bursts of the default, P(miss) a tenth of the target, n = 1e5",
+        draw=partial(proven_at_1_khz, partial(processes.independent, 100_000, P / 10)), at_least=80.0, quick=20,
+    ),
+    *(
+        Row(
+            name=f"episodes of misses, one in {1 / rate:.0f} loops, length {name}, {looks} look"
+            f"{'s, each after 10 000 more' * (looks > 1)}",
+            event="more come in an hour than is said at most", at_most=5.0, quick=quick,
+            draw=partial(come_oftener_than_said, lengths, rate, 10_000, looks),
+            remedy=(deadline, "anytime_upper", _one_look) if quick and looks > 1 else None,
+        )
+        for name, lengths in processes.LENGTHS.items()
+        for rate, looks, quick in ((1 / 5000, 1, 0), (1 / 500, 1, 40), (1 / 5000, 10, 60 if "heavy" in name else 0))
+    ),
+    Row(
+        name="episodes of misses, 5 boots, rates lognormal (sd 1)", at_most=5.0, quick=40,
+        event="more come in an hour than is said at most", draw=partial(come_oftener_than_said_of_boots, 5, 1.0),
+        remedy=(deadline, "_effect_between", _never_between),
     ),
     *(
         Row(

@@ -24,7 +24,7 @@ order: interleaved
 seed: 7
 common: {{repetitions: 102}}
 runs: [{{suite: cyclic_timer_tests, frequency_hz: {frequencies}}}]
-until: {{deadline: 400us, probability: {probability}, confidence: 0.95, at_most: {at_most}, boots: {boots}}}
+until: {{deadline: 400us, probability: {probability}, confidence: 0.95, at_most: {at_most}, boots: {boots}, bursts: 1}}
 """
 
 

@@ -11,7 +11,7 @@ from rtrun.cli import main
 from rtrun.results.journal import NAME, open_journal
 from rtrun.results.run_state import RunState
 
-QUESTION = ["--deadline", "400us", "--probability", "1e-3"]
+QUESTION = ["--deadline", "400us", "--probability", "1e-3", "--bursts", "1"]
 
 
 def write(root, name, seed, **record):

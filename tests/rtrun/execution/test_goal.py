@@ -37,8 +37,9 @@ class Killed(Exception):
 class Board:
     """A target: `misses` holds the true P(miss) of each frequency; what it measured outlives the runner."""
 
-    def __init__(self, misses, *, wanted, fails=(), emulated=False):
+    def __init__(self, misses, *, wanted, fails=(), emulated=False, tells_period=False):
         self.misses, self.wanted, self.fails, self.emulated = misses, wanted, fails, emulated
+        self.tells_period = tells_period
         self.boot = 0
         self.boots = {}
         self.trials = {}
@@ -65,7 +66,8 @@ class Board:
             trials = [self._place(name) for name in names]
             if names:
                 question = Question(probability=1e-3, boots=self.wanted.boots)
-                verdict = judge(trials, question, Circumstances(emulated=self.emulated))
+                period_ns = group.period_ns if self.tells_period else None
+                verdict = judge(trials, question, Circumstances(emulated=self.emulated, period_ns=period_ns))
                 standings.append(
                     Standing(
                         label=group.name,
@@ -128,6 +130,14 @@ def test_it_takes_the_fewest_rounds_and_the_boots_that_were_asked_for(
     board = Board(misses, wanted=wanted, emulated=is_emulated)
     assert set(measure(board, groups, wanted).values()) == {answer}
     assert (len(board.calls), board.boot, len(set(board.boots.values()))) == (calls, restarts, restarts + 1)
+
+
+def test_rounds_go_on_until_a_stall_of_10_ms_is_covered_at_the_period_of_each_group():
+    groups, wanted = groups_of(1000, 100), goal(bursts=None)
+    board = Board({1000: 0.0, 100: 0.0}, wanted=wanted, tells_period=True)
+    assert set(measure(board, groups, wanted).values()) == {Answer.PROVEN}
+    calls = [sum(name.startswith(group.name) for name in board.calls) for group in groups]
+    assert calls == [37, 4], "ten times 3 688 measurements at 1 kHz, once at 100 Hz"
 
 
 def test_a_group_with_its_answer_gives_its_time_to_the_others():

@@ -7,6 +7,7 @@ import pytest
 
 from rtrun.analysis.comparison import Ratio
 from rtrun.analysis.deadline import Circumstances, judge
+from rtrun.analysis.episodes import find_episodes
 from rtrun.analysis.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses
 from rtrun.judgement.verdicts import scope_in_short, sentences
@@ -30,6 +31,34 @@ def trials(n: int, *late: int, boots: int = 1, of: Tolerance = NONE_TOLERATED) -
         counted = count_misses(values, 400_000, tolerance=of)
         made.append(replace(counted, boot=f"b{boot}", run=f"r{boot}", start_time=f"{boot:03}"))
     return made
+
+
+def test_the_answer_says_what_it_covers_and_for_what_it_already_holds():
+    by_default = replace(QUESTION, bursts=None)
+
+    def said(measured, question=by_default, period_ns=PERIOD_NS):
+        timed = [replace(each, episodes=find_episodes(each.missed_at, each.n, period_ns)) for each in measured]
+        return "; ".join(sentences(judge(timed, question, Circumstances(period_ns=period_ns))))
+
+    default = "a stall of 10 ms (bursts of 10 misses, the default)"
+    assert f"for misses that come singly it already holds; has to cover {default}; 32 8" in said(trials(4000))
+    assert f"for bursts of up to 5 misses it already holds; has to cover {default}; 16 8" in said(trials(20_000))
+    short = said(trials(1000))
+    assert "already holds" not in short and f"has to cover {default}; 35 8" in short
+    assert "holds for bursts of up to 27 misses (without a miss, 84 4" in said(trials(100_000))
+    assert f"covers {default}" in said(trials(100_000))
+    assert "covers a stall of 10 ms (a single miss, the default)" in said(trials(4000), period_ns=20e6)
+    assert "covers no stall, for the period is not known (a single miss, the default)" in said(
+        trials(4000), period_ns=None
+    )
+    seen = said(trials(200_000, *range(500, 512)))
+    assert "covers the longest episode that was seen (bursts of 12 misses, the default)" in seen
+    assert "(1 seen, the longest of 12 misses within 12 ms)" in seen
+    stated = said(trials(4000), replace(QUESTION, bursts=20))
+    assert "for misses that come singly it already holds; has to cover bursts of up to 20 misses" in stated
+    assert "the default" not in stated + said(trials(4000), QUESTION)
+    assert "(2 seen, single misses)" in said(trials(4000, 500, 3000))
+    assert "already holds" not in said(trials(4000), replace(by_default, boots=3))
 
 
 ADDED = "for the system measure on 5 boots or more"

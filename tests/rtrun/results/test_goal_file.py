@@ -38,6 +38,39 @@ def test_what_the_interval_holds_for_may_change(tmp_path, change):
     assert read_goal(tmp_path) == goal(**change)
 
 
+def test_a_goal_states_bursts_only_where_somebody_did(tmp_path):
+    for bursts in (None, 1, 7):
+        write_goal(tmp_path, goal(bursts=bursts))
+        assert read_goal(tmp_path).question.bursts == bursts
+        assert ('"bursts"' in (tmp_path / "goal.json").read_text()) == (bursts is not None)
+
+
+@pytest.mark.parametrize(
+    ("stated", "asked", "is_less"),
+    [(None, 1, True), (None, 9, False), (None, 8, True), (5, 4, True), (5, 5, False), (5, 6, False), (1, 1, False)],
+)
+def test_a_gate_that_covers_shorter_bursts_than_the_goal_asks_less(tmp_path, stated, asked, is_less, capsys):
+    """A one-shot timer of 1 ms measures every 1.1 ms: a stall of 10 ms makes it late nine times."""
+    write_goal(tmp_path, goal(bursts=stated))
+    oneshot_run(tmp_path, "001", latencies(40_000, 1))
+    asks = ["gate", str(tmp_path), "--bursts", str(asked)]
+    assert main(asks) == int(is_less)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert ("ASKS LESS" in printed) == is_less
+    if is_less:
+        now = "misses that come singly" if asked == 1 else f"bursts of up to {asked} misses"
+        before = "a stall of 10 ms" if stated is None else f"bursts of up to {stated} misses"
+        assert f"covering {now}, not {before}" in printed
+        assert main([*asks, "--instead-of-goal"]) == 0
+
+
+def test_bursts_are_a_whole_number_of_misses(tmp_path, capsys):
+    measure(tmp_path)
+    for wrong in ("0", "-1", "1.5", "1001", "9" * 5000, "٤", "ten"):
+        assert main(["verdict", str(tmp_path), f"--bursts={wrong}"]) == 2
+        assert "is no number of misses in a row, 1 to 1000" in " ".join(capsys.readouterr().err.split())
+
+
 LESS = {
     "probability": ["--probability", "1e-2"],
     "deadline": ["--deadline", "11ms"],
