@@ -203,7 +203,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     is_constant = constancy.change is None
     late_share = _late_share(units, question, measured)
     episodes = _episodes(runs, question, measured)
-    longest_seen = episodes.longest_misses if episodes else 1
+    longest_seen = episodes.most_in_a_row if episodes else 1
     bursts = bursts_asked(question, measured.stream_ns, longest_seen)
     per_event = measured.measurements_per_event
     # Of streams that are late together each has its part of a burst.
@@ -340,6 +340,7 @@ def _episodes(runs: Sequence[Trials], question: Question, measured: Circumstance
     return Episodes(
         seen=sum(each.begun.count for each in found),
         longest_misses=max(each.longest_misses for each in found),
+        most_in_a_row=max(each.most_in_a_row for each in found),
         longest_ns=None if measured.stream_ns is None else longest_loops * measured.stream_ns,
         per_hour_at_most=bound,
     )

@@ -13,6 +13,8 @@ from rtrun.analysis.histogram import Int64s
 from rtrun.plan.question import STALL_NS
 
 _NS_PER_HOUR = 3.6e12
+# A loop in time between two misses ends neither a burst nor an episode, whatever the period is.
+_LEAST_GAP = 2
 # So many places where episodes begin are kept: enough for the exact test of few.
 _FEW = 20
 
@@ -21,25 +23,29 @@ _FEW = 20
 class FoundEpisodes:
     """The episodes of one output of a run: where they begin, and the longest, in misses and from end to end in loops.
 
-    ``begun_at`` are the loop positions of the first ones, int64 (e,).
+    ``begun_at`` are the loop positions of the first ones, int64 (e,). ``most_in_a_row`` is the longest burst: misses
+    that follow one another, a single loop in time between two of them aside.
     """
 
     begun: Events
     begun_at: Int64s
     longest_misses: int
     longest_loops: int
+    most_in_a_row: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Episodes:
     """The episodes of all runs of a verdict: how many were ``seen``, the longest, and how often they come at most.
 
-    ``longest_ns`` is None where the period is not known. ``per_hour_at_most`` bounds the episodes in an hour of a
-    stream at the confidence asked for, however often somebody looks; None where nothing does.
+    ``most_in_a_row`` is the longest burst (`FoundEpisodes`). ``longest_ns`` is None where the period is not known.
+    ``per_hour_at_most`` bounds the episodes in an hour of a stream at the confidence asked for, however often somebody
+    looks; None where nothing does.
     """
 
     seen: int
     longest_misses: int
+    most_in_a_row: int
     longest_ns: float | None
     per_hour_at_most: float | None
 
@@ -47,15 +53,15 @@ class Episodes:
 def gap_loops(period_ns: float | None) -> int:
     """From one miss to the next of the same episode are at most so many loops: 10 ms, but two at least.
 
-    A stall that a proof covers by default (`STALL_NS`) is then one episode, whatever is in time within it. With two
-    loops, a loop in time between two misses ends no episode of a slow stream, nor of one whose period nobody knows.
+    A stall that a proof covers by default (`STALL_NS`) is then one episode, whatever is in time within it.
     """
-    return 2 if period_ns is None else max(2, math.floor(STALL_NS / max(period_ns, 1.0) + 0.5))
+    return _LEAST_GAP if period_ns is None else max(_LEAST_GAP, math.floor(STALL_NS / max(period_ns, 1.0) + 0.5))
 
 
 def find_episodes(misses: Int64s, loops: int, period_ns: float | None) -> FoundEpisodes:
     """Join misses, ascending loop positions int64 (k,) among `loops`, to episodes."""
-    starts = np.flatnonzero(np.diff(misses, prepend=np.iinfo(np.int64).min // 2) > gap_loops(period_ns))
+    distances = np.diff(misses, prepend=np.iinfo(np.int64).min // 2)
+    starts, rows = (np.flatnonzero(distances > gap) for gap in (gap_loops(period_ns), _LEAST_GAP))
     begun_at = misses[starts]
     sizes = np.diff(starts, append=misses.size)
     spans = misses[starts + sizes - 1] - begun_at + 1
@@ -64,6 +70,7 @@ def find_episodes(misses: Int64s, loops: int, period_ns: float | None) -> FoundE
         begun_at=begun_at[:_FEW],
         longest_misses=int(sizes.max(initial=0)),
         longest_loops=int(spans.max(initial=0)),
+        most_in_a_row=int(np.diff(rows, append=misses.size).max(initial=0)),
     )
 
 

@@ -172,7 +172,7 @@ def _covered(verdict: Verdict) -> str:
         case "stall":
             return f"a stall of {time(STALL_NS)} ({long}, the default)"
         case "longest seen":
-            return f"the longest episode that was seen ({long}, the default)"
+            return f"the longest burst that was seen ({long}, the default)"
         case "period not known":
             return f"no stall, for the period is not known ({long}, the default)"
 

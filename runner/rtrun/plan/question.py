@@ -116,7 +116,7 @@ class Bursts:
 
 
 def bursts_asked(asked: Question, period_ns: float | None = None, longest_seen: int = 1) -> Bursts:
-    """What was asked for, else a stall of `STALL_NS`, or the longest episode that was seen, in misses.
+    """What was asked for, else a stall of `STALL_NS`, or the longest burst that was seen, in misses.
 
     `period_ns` is that of one stream; where it is not known nobody knows how many misses a stall makes, and they come
     singly. Where some are tolerated, what is counted are the windows with too many misses: a stall of L loops makes

@@ -41,7 +41,8 @@ def test_a_gap_is_10_ms_and_two_loops_at_least(period_ns, loops):
 def test_misses_near_one_another_are_one_episode():
     found = find_episodes(np.array([0, 7, 17, 28, 500, 999]), 1000, MS)
     assert (found.begun.count, found.begun_at.tolist()) == (4, [0, 28, 500, 999])
-    assert (found.longest_misses, found.longest_loops) == (3, 18)
+    assert (found.longest_misses, found.longest_loops, found.most_in_a_row) == (3, 18, 1)
+    assert find_episodes(np.array([3, 5, 6, 8, 11, 12]), 1000, MS).most_in_a_row == 4
     none = find_episodes(np.empty(0, np.int64), 1000, MS)
     assert (none.begun.count, none.longest_misses, none.longest_loops) == (0, 0, 0)
 
@@ -132,8 +133,20 @@ def test_the_longest_that_was_seen_is_covered_too():
     judged = verdict(run(300_000, *range(1000, 1014)))
     assert (judged.bursts.length, judged.bursts.why) == (14, "longest seen")
     assert verdict(run(300_000, *range(1000, 1014)), bursts=1).bursts.length == 1
+    apart = verdict(run(300_000, *range(1000, 1200, 5)))
+    assert (apart.bursts.length, apart.bursts.why) == (10, "stall"), "an episode, but no burst"
     slow = verdict(run(300_000, 5, 6, 7, period_ns=None), period_ns=None)
     assert (slow.bursts.length, slow.bursts.why) == (3, "longest seen")
+
+
+def test_many_misses_that_chance_lets_lie_near_are_no_burst():
+    """Nearly all of them are one episode at 10 kHz; that P(miss) is below what is asked is provable all the same."""
+    late = np.flatnonzero(np.random.default_rng(7).random(40_000) < 0.3)
+    trials = replace(count_misses(values(40_000, *late), DEADLINE, period_ns=MS / 10), boot="b")
+    question = Question(deadline_ns=DEADLINE, probability=0.5)
+    judged = judge([trials], question, Circumstances(period_ns=MS / 10))
+    assert judged.episodes is not None and judged.episodes.seen < 5 and judged.episodes.longest_misses > 1000
+    assert judged.answer == Answer.PROVEN
 
 
 @pytest.mark.parametrize("tolerance", ["0 in a row", "2 in a row", "9 in a row", "10 in a row", "3 of 100", "4 of 6"])

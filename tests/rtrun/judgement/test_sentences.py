@@ -52,7 +52,7 @@ def test_the_answer_says_what_it_covers_and_for_what_it_already_holds():
         trials(4000), period_ns=None
     )
     seen = said(trials(200_000, *range(500, 512)))
-    assert "covers the longest episode that was seen (bursts of 12 misses, the default)" in seen
+    assert "covers the longest burst that was seen (bursts of 12 misses, the default)" in seen
     assert "(1 seen, the longest of 12 misses within 12 ms)" in seen
     stated = said(trials(4000), replace(QUESTION, bursts=20))
     assert "for misses that come singly it already holds; has to cover bursts of up to 20 misses" in stated
