@@ -7,7 +7,7 @@ from report.campaigns import latencies, oneshot_run
 
 from rtrun.cli import main
 
-QUESTION = ["--deadline", "400us", "--probability", "1e-3"]
+QUESTION = ["--deadline", "400us", "--probability", "1e-3", "--bursts", "1"]
 
 
 def write(root, name, seed, **record):

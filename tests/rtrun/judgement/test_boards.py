@@ -75,7 +75,8 @@ def test_a_board_that_misses_fails_the_gate_whatever_the_others_prove(tmp_path, 
     write(tmp_path, "a", late=30, n=25_000)
     for boot in range(8):
         write(tmp_path, "b", str(boot), n=60_000)
-    assert main(["gate", str(tmp_path), "--deadline", "400us", "--probability", "5e-4", "--confidence", "0.95"]) == 1
+    question = ["--deadline", "400us", "--probability", "5e-4", "--confidence", "0.95", "--bursts", "1"]
+    assert main(["gate", str(tmp_path), *question]) == 1
     out = capsys.readouterr().out
     assert "FAIL  REFUTED" in out
 
