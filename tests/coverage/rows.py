@@ -362,7 +362,7 @@ def proven_by_lucky_runs(rng: Rng) -> bool:
                 null_campaigns.write_sent(
                     Path(folder), f"{number}" if is_last else f"{number}.old-{attempt}", values, is_kept=is_last
                 )
-        question = Question(deadline_ns=DEADLINE_NS, probability=P)
+        question = Question(deadline_ns=DEADLINE_NS, probability=P, bursts=1)
         return any(
             group.verdict is not None and group.verdict.answer == Answer.PROVEN
             for group in study(Path(folder), question, bounds=False).groups

@@ -69,6 +69,9 @@ def test_subscribers_of_one_message_have_the_same_episodes():
     assert one.episodes is not None and five.episodes is not None
     assert five.episodes.per_hour_at_most == pytest.approx(one.episodes.per_hour_at_most, rel=1e-3)
     assert five.bursts == one.bursts and five.longest_burst == pytest.approx(one.longest_burst, rel=1e-2)
+    alone, together = (verdict(*[run(n, run="r")] * 5, period_ns=MS / 5, side_by_side=5.0) for n in (4000, 40_000))
+    assert alone.further is not None and alone.further + 20_000 == pytest.approx(5 * 36_888, abs=5)
+    assert dict(together.further_for_bursts)[20] + 200_000 == pytest.approx(5 * 20 * 3688.8, rel=1e-3)
 
 
 def test_boots_that_differ_in_their_episodes_widen_the_bound():

@@ -57,6 +57,14 @@ def test_enough_measurements_prove_a_deadline(tmp_path):
     assert verdict_line(only(tmp_path, deadline_ns=90_000)).answer == Answer.REFUTED
 
 
+def test_misses_within_10_ms_are_one_episode(tmp_path):
+    values = latencies(5000, 1)
+    values[[100, 105, 3000]] = 500_000
+    oneshot_run(tmp_path, "a", values)
+    episodes = only(tmp_path, probability=1e-3).verdict.episodes
+    assert (episodes.seen, episodes.longest_misses, episodes.longest_ns) == (2, 2, 6 * 1_150_000)
+
+
 def test_bursts_make_measurements_worth_less(tmp_path):
     oneshot_run(tmp_path, "a", bursty(8000, 1))
     verdict = only(tmp_path, deadline_ns=110_000).verdict
