@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from logs import LOGS_2014
+from rtrun.evidence.attempts import lost_attempts
 from rtrun.execution import campaign_runner
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.run import UNTRACED, Run
+from rtrun.results.reading import find_source
+from rtrun.results.record import read_record
 from rtrun.targets.address import Address
 from rtrun.targets.config import Target
 from watching import Watching
@@ -209,6 +212,12 @@ def runs_of(count: int, **parameters: Any) -> list[Run]:
 def measure(target: Target, runs: list[Run], results: Path, watching: Watching | None = None) -> list[str]:
     """Measure a campaign called test; the statuses of its runs."""
     return list(campaign_runner.run_campaign(target, "test", runs, results, watching or Watching()).values())
+
+
+def lost(results: Path) -> list[str]:
+    """The attempts in a folder that count as late."""
+    source = find_source(results)
+    return [str(one) for one in lost_attempts(source, {folder: read_record(folder) for folder in source.folders}, {})]
 
 
 def record(results: Path, run: Run) -> dict[str, Any]:

@@ -1,13 +1,14 @@
 """Attempts that gave no values to judge: they failed, were invalid, were measured again, or are not there any more.
 
 Who leaves them out keeps the lucky ones alone: a run that hung was perhaps late to the end. So each counts, unless its
-end is known to have nothing to do with lateness (`UnrelatedEnd`).
+end is known to have nothing to do with lateness: its record says so (`UnrelatedEnd`), or the journal (`GivenUp`). What
+began to measure and left no record is known from the journal.
 """
 
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,11 +16,12 @@ from rtfiles.errors import UsageError
 from rtfiles.output import counted
 from rtrun.plan.suites import Value, telling_parameters
 from rtrun.plan.trace import WARM_UP
-from rtrun.results.journal import closings
+from rtrun.results.journal import RunAttempts, attempts, is_at_work
 from rtrun.results.reading import Source, target_of
-from rtrun.results.record import RunRecord, RunStatus, read_record
+from rtrun.results.record import RunRecord, RunStatus, is_closed, read_record
 
 _ASIDE = re.compile(r"\.(?:old|incomplete)-[0-9]+$", re.ASCII)
+_CUT_OFF = re.compile(r"\.incomplete-[0-9]+$", re.ASCII)
 _NUMBERED = re.compile(r"([0-9]{1,6})-.*", re.ASCII)
 
 
@@ -27,12 +29,16 @@ _NUMBERED = re.compile(r"([0-9]{1,6})-.*", re.ASCII)
 class LostAttempt:
     """An attempt of which nothing is judged; `why` says what became of it.
 
-    `kind` is that of what it would have measured (`kind_of`); "" where that is not known: it may have been any.
+    `kinds` are those of what it would have measured (`kind_of`); none where that is not known: it may have been any.
     """
 
     run: str
     why: str
-    kind: str = ""
+    kinds: frozenset[str] = frozenset()
+
+    def may_be_of(self, kinds: Collection[str]) -> bool:
+        """Whether it would have measured one of these kinds, as far as that is known."""
+        return not self.kinds or not self.kinds.isdisjoint(kinds)
 
     def __str__(self) -> str:
         return f"{self.run}: {self.why}"
@@ -50,63 +56,97 @@ def lost_attempts(
 
     `records` are those of the closed runs, `unreadable` says why others, or their values, cannot be read.
     """
-    lost = [_lost(folder, record, unreadable.get(folder)) for folder, record in records.items()]
+    lost = [_lost(folder.name, record, unreadable.get(folder), records) for folder, record in records.items()]
     lost += [LostAttempt(run=folder.name, why=why) for folder, why in unreadable.items() if folder not in records]
-    lost += [_measured_again(folder) for folder in source.old]
-    lost += [_cut_off(source.path / name, records) for name in source.repeated if not _is_warm_up(name)]
-    return (*filter(None, lost), *_missing(source.path))
+    lost += [_measured_again(folder, records) for folder in source.old]
+    # Whether it hung before, nobody knows.
+    lost += [
+        LostAttempt(run=name, why="cut off by a restart of the target", kinds=_kinds_of_run(name, records))
+        for name in (*source.repeated, *filter(_CUT_OFF.search, source.incomplete))
+        if not _is_warm_up(name)
+    ]
+    return (*filter(None, lost), *_without_record(source.path, records))
 
 
-def _lost(folder: Path, record: RunRecord, unreadable: str | None) -> LostAttempt | None:
+def _lost(run: str, record: RunRecord, unreadable: str | None, records: Mapping[Path, RunRecord]) -> LostAttempt | None:
     if unreadable is None and (record.status is RunStatus.OK or record.unrelated_end is not None):
         return None
     why = unreadable or f"{record.status}: {record.reason or 'no reason given'}"
-    return LostAttempt(run=folder.name, why=why, kind=_kind(record))
+    return LostAttempt(run=run, why=why, kinds=_kinds(record, records))
 
 
-def _measured_again(folder: Path) -> LostAttempt | None:
+def _measured_again(folder: Path, records: Mapping[Path, RunRecord]) -> LostAttempt | None:
     try:
         record = read_record(folder)
     except UsageError as error:
         return LostAttempt(run=folder.name, why=f"measured again, and its record cannot be read: {error}")
     if record.unrelated_end is not None:
         return None
-    return LostAttempt(run=folder.name, why=f"{record.status}, then measured again", kind=_kind(record))
-
-
-def _cut_off(folder: Path, records: Mapping[Path, RunRecord]) -> LostAttempt:
-    """What a restart of the target cut off: whether it hung before, nobody knows."""
-    again = records.get(folder.with_name(_ASIDE.sub("", folder.name)))
-    return LostAttempt(
-        run=folder.name, why="cut off by a restart of the target", kind=_kind(again) if again is not None else ""
-    )
+    why = f"{record.status}, then measured again"
+    return LostAttempt(run=folder.name, why=why, kinds=_kinds(record, records))
 
 
 def _kind(record: RunRecord) -> str:
     return kind_of(target_of(record), record.suite, record.circumstances)
 
 
-def _missing(folder: Path) -> Iterator[LostAttempt]:
-    """What the journal says was closed, and nobody finds; without a journal, numbers that are left out."""
+def _kinds(record: RunRecord, records: Mapping[Path, RunRecord]) -> frozenset[str]:
+    """What an attempt would have measured; of a topology that failed, the streams that others of its kind have."""
+    kind = _kind(record)
+    if record.status is RunStatus.OK or record.coverage is not None:
+        return frozenset({kind})
+    alike = {one.run for one in records.values() if _kind(one) == kind}
+    return frozenset({kind, *(_kind(one) for one in records.values() if one.observed_by in alike)})
+
+
+def _kinds_of_run(name: str, records: Mapping[Path, RunRecord]) -> frozenset[str]:
+    """What the attempts at a run measure, its streams among it, on every target and kernel that there are runs of."""
+    run = _plain(name)
+    of_run = [one for folder, one in records.items() if run in (folder.name, one.observed_by)]
+    targets = {target_of(one) for one in records.values()}
+    return frozenset(kind_of(target, one.suite, one.circumstances) for one in of_run for target in targets)
+
+
+def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator[LostAttempt]:
+    """What the journal knows of, and nobody finds; without a journal, numbers that are left out."""
     if not folder.is_dir():
         return
-    present: Counter[str] = Counter()
-    for child in folder.iterdir():
-        if child.is_dir() and not child.name.startswith(".") and not _is_warm_up(child.name):
-            present[_ASIDE.sub("", child.name)] += 1
-    known = closings(folder)
+    names = [child.name for child in folder.iterdir() if child.is_dir() and not child.name.startswith(".")]
+    names = [name for name in names if not _is_warm_up(name)]
+    known = attempts(folder)
     if known is None:
-        yield from _left_out(present)
+        yield from _left_out(map(_plain, names))
         return
-    for run, times in known.items():
-        if not _is_warm_up(run) and times > present[run]:
-            here = f"{present[run]} of them {'is' if present[run] == 1 else 'are'} here"
-            yield LostAttempt(run=run, why=f"closed {counted(times, 'time')} by the journal, {here}")
+    kept = Counter(_plain(name) for name in names if _CUT_OFF.search(name))
+    closed = Counter(_plain(name) for name in names if not _CUT_OFF.search(name) and is_closed(folder / name))
+    # What a runner has begun that is at work goes on.
+    goes_on = is_at_work(folder)
+    for run, each in known.items():
+        if not _is_warm_up(run):
+            for why in _unaccounted(each, closed[run], kept[run], goes_on=goes_on):
+                yield LostAttempt(run=run, why=why, kinds=_kinds_of_run(run, records))
+
+
+def _unaccounted(each: RunAttempts, closed: int, kept: int, *, goes_on: bool) -> Iterator[str]:
+    """What the journal says of the attempts at a run that are not among those that are here, so many of each sort."""
+    for _ in range(each.closed - closed):
+        here = f"{closed} of them {'is' if closed == 1 else 'are'} here"
+        yield f"closed {counted(each.closed, 'time')} by the journal, {here}"
+    for _ in range(each.kept - kept):
+        yield "cut off by a restart of the target, and what was kept of it is not here"
+    yield from each.given_up
+    # A runner that was killed may have closed it, or kept it, and had no time to say so.
+    said = max(0, closed - each.closed) + max(0, kept - each.kept)
+    yield from each.never_closed(goes_on=goes_on)[said:]
+
+
+def _plain(name: str) -> str:
+    return _ASIDE.sub("", name)
 
 
 def _is_warm_up(name: str) -> bool:
     """Whether it is a warm-up, of which no value is ever judged."""
-    return _ASIDE.sub("", name).endswith(WARM_UP)
+    return _plain(name).endswith(WARM_UP)
 
 
 def _left_out(names: Iterable[str]) -> Iterator[LostAttempt]:

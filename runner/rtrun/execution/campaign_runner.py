@@ -1,8 +1,6 @@
 """A campaign: its results folder and journal, and every run that is not finished yet measured on its target."""
 
 import contextlib
-import fcntl
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -27,14 +25,14 @@ def find_unfinished(results: Path, name: str, runs: Sequence[Run], *targets: str
     Raises UsageError when the folder holds another campaign, or this one on other targets.
     """
     run_directory.make_results(results)
-    with _lock(results), _open_journal(results, name, runs, targets):
+    with journal.at_work(results), _open_journal(results, name, runs, targets):
         return _unfinished(results, runs)
 
 
 def has_rounds(results: Path, name: str, groups: Sequence[Run], rounds: PlanRounds, *targets: str) -> bool:
     """Whether there is something left to measure for a campaign with rounds. Raises UsageError as `find_unfinished`."""
     run_directory.make_results(results)
-    with _lock(results), _open_journal(results, name, groups, targets) as log:
+    with journal.at_work(results), _open_journal(results, name, groups, targets) as log:
         # Nobody has worked since the last event, however long ago that was.
         return rounds(lambda: log.spent_s(None))((), ()) is not None
 
@@ -113,7 +111,7 @@ def _session(
     now: Clock,
 ) -> Iterator[Session]:
     run_directory.make_results(results)
-    with _lock(results), _open_journal(results, name, runs, targets) as log:
+    with journal.at_work(results), _open_journal(results, name, runs, targets) as log:
         needed, finished = list(chosen), dict[str, RunStatus]()
         if rounds is None:
             needed = [run for _, run in _unfinished(results, chosen)]
@@ -149,23 +147,6 @@ def _open_journal(results: Path, name: str, runs: Sequence[Run], targets: Sequen
         if log.plan != digest:
             raise UsageError(f"{results}: holds another campaign, its file has changed since: {remedy}")
         yield log
-
-
-@contextlib.contextmanager
-def _lock(results: Path) -> Iterator[None]:
-    """Keep a second runner away from these results; the lock ends with the process, however that ends."""
-    path = results / ".lock"
-    try:
-        # Not through a link, and nothing is written: the file may be somebody else's.
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be locked, remove it: {error.strerror}") from error
-    with os.fdopen(handle, "rb", buffering=0) as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise UsageError(f"{results}: another rtrun is at work there: wait for it, or give --results") from error
-        yield
 
 
 def count_finished(results: Path, runs: Sequence[Run]) -> int:

@@ -7,23 +7,24 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.interruption import deferred
+from rtfiles.quantities import duration
 from rtrun.execution import download, observation, observed_runs, resumption, system
 from rtrun.execution.closing import Clock, RunEnd, Work, close
 from rtrun.execution.observation import KEPT_FIRST, NOBODY, ObservationResult, Onlooker, defect_in_words
 from rtrun.execution.preparation import Prepared
-from rtrun.execution.resumption import Attempt
+from rtrun.execution.resumption import Attempt, Leftovers
 from rtrun.execution.run_programs import programs_of
 from rtrun.plan import conditions
-from rtrun.plan.program import Exit
+from rtrun.plan.program import Exit, Program
 from rtrun.plan.run import UNTRACED, Run
 from rtrun.results import run_directory
-from rtrun.results.record import RunRecord
-from rtrun.results.run_state import RunEvent, RunLife, RunState
+from rtrun.results.journal import KEPT
+from rtrun.results.record import RunRecord, moment
+from rtrun.results.run_state import GivenUp, RunEvent, RunLife, RunState
 from rtrun.targets import processes
 from rtrun.targets.connection import parse_listing
 from rtrun.targets.errors import DeadlineExpired, TargetError
@@ -33,6 +34,9 @@ from rtrun.targets.link import OUT_OF_REACH, TargetRebooted
 SUBSCRIBED_S = 60.0
 # The target ends a program at its deadline; the runner waits this much longer for that.
 END_GRACE_S = 60.0
+# Who interrupts a run after this share of the time that it should take, and so much more, may do it because it hangs.
+HUNG_FACTOR = 2
+HUNG_EXTRA_S = 10.0
 # A run has some ten files for each of its programs. Of a folder with more than this the user is told.
 FILES_USUAL = 10_000
 # For a folder with some million files.
@@ -47,10 +51,25 @@ def must_give_up(state: RunState, error: BaseException) -> bool:
     """Whether an error ends what runs on the target; otherwise the run stays as it is, for the next call to pick up."""
     if isinstance(error, OUT_OF_REACH):
         return False
-    if state in (RunState.STARTING, RunState.OBSERVING):
+    if state in (RunState.STARTING, RunState.LAUNCHING, RunState.OBSERVING):
         return isinstance(error, KeyboardInterrupt | InfrastructureError)
     # The target itself should have ended it long before the deadline of the runner.
     return state is RunState.MEASURING and isinstance(error, KeyboardInterrupt | DeadlineExpired)
+
+
+def why_given_up(state: RunState, error: BaseException, taken_s: float, total_s: float) -> str:
+    """What the journal says of an attempt that an error ended: by its first words (`GivenUp`) it is judged.
+
+    It has taken `taken_s` of the `total_s` that it should take, in seconds. Who interrupts a run because it seems to
+    hang is not to profit from that.
+    """
+    is_interrupted = isinstance(error, KeyboardInterrupt)
+    if state in (RunState.LAUNCHING, RunState.MEASURING):
+        if is_interrupted and taken_s > HUNG_FACTOR * total_s + HUNG_EXTRA_S:
+            return f"{GivenUp.TOO_LONG}: interrupted after {duration(taken_s)}, of {duration(total_s)}"
+        if isinstance(error, DeadlineExpired):
+            return f"{GivenUp.TOO_LONG}: {error}"
+    return GivenUp.INTERRUPTED if is_interrupted else f"{GivenUp.NOT_MEASURED}: {error}"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -138,21 +157,22 @@ def measure(
 
 
 def _measure(work: Work, life: RunLife, now: Clock, *, may_be_begun: bool) -> RunRecord:
-    run, remote = work.run, work.remote
+    run, remote, begun = work.run, work.remote, now()
     try:
         attempt, not_started = (_resume(work, life) if may_be_begun else None), None
         if attempt is None:
             attempt, not_started = _start(work, life, now)
+        else:
+            begun = moment(attempt.start_time) or begun
         measured = _observe(work, life, not_started, now) if run.observation else _wait(work, life)
     except (KeyboardInterrupt, InfrastructureError) as error:
         if must_give_up(life.state, error):
+            # It is known what became of it, whoever is killed before all is ended there.
             try:
-                _give_up(work)
-            except TargetError as left:
-                work.link.note(
-                    f"{run.name} was given up, and {remote} stays on the target: {left}; run this again to end it"
-                )
-            life.move(RunEvent.GIVE_UP, str(error) or type(error).__name__)
+                reason = why_given_up(life.state, error, (now() - begun).total_seconds(), run.total_s)
+                life.move(RunEvent.GIVE_UP, reason)
+            finally:
+                _give_up_or_note(work)
         elif life.state is RunState.MEASURING and not isinstance(error, OUT_OF_REACH):
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
@@ -208,12 +228,18 @@ def _resume(work: Work, life: RunLife) -> Attempt | None:
             present = parse_listing(work.link.check(download.listing(work.remote, limits), deadline_s=LISTING_S)).sizes
             download.pull(work.link, work.remote, present, partial, limits)
             kept = run_directory.keep_beside(partial, work.folder, "incomplete")
-        life.move(RunEvent.KEEP, f"kept as {kept.name}")
+        life.move(RunEvent.KEEP, f"{KEPT}{kept.name}")
     if leftovers.has_folder:
+        life.move(RunEvent.GIVE_UP, _why_left(work, leftovers))
         _give_up(work)
-    if leftovers.started:
-        life.move(RunEvent.GIVE_UP, leftovers.unreadable or "left by an earlier call")
     return None
+
+
+def _why_left(work: Work, leftovers: Leftovers) -> str:
+    """What the journal says of an attempt that is not picked up; one of programs that ran already left nothing."""
+    if work.run.observation is None and leftovers.started.isdisjoint(work.measuring):
+        return GivenUp.NOT_MEASURED
+    return f"{GivenUp.LEFT}: {leftovers.unreadable}" if leftovers.unreadable else GivenUp.LEFT
 
 
 def _give_up(work: Work) -> None:
@@ -221,6 +247,16 @@ def _give_up(work: Work) -> None:
     if work.starts_system:
         system.end(work.link, work.remote)
     processes.give_up(work.link, work.remote, work.programs.names)
+
+
+def _give_up_or_note(work: Work) -> None:
+    """Give it up, and say what stays on the target."""
+    try:
+        _give_up(work)
+    except TargetError as left:
+        work.link.note(
+            f"{work.run.name} was given up, and {work.remote} stays on the target: {left}; run this again to end it"
+        )
 
 
 def _start(work: Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
@@ -235,7 +271,7 @@ def _start(work: Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
     if work.programs.background and not_started is None:
         _start_background(work)
     if work.run.observation is None:
-        not_started = _start_suite(work)
+        not_started = _start_suite(work, life)
         life.move(RunEvent.START)
     return attempt, not_started
 
@@ -295,15 +331,20 @@ def _start_background(work: Work) -> None:
         raise TargetError(f"{link.target.address}: condition {work.run.condition}: {name} does not run: {reason}")
 
 
-def _start_suite(work: Work) -> str | None:
+def _start_suite(work: Work, life: RunLife) -> str | None:
     """Start the sampler, then the suite's programs stage by stage, each when those before it are ready.
 
     Return why the rest was not started: a program that it needs has ended.
     """
     link, remote = work.link, work.remote
-    start = partial(processes.start, link, work.prepared.scripts, remote, setup=work.setup)
     first, *later = work.programs.stages
-    start(*([work.programs.sampler] if work.programs.sampler else []), *first)
+
+    def start(*programs: Program, stage: Sequence[Program]) -> None:
+        if stage is work.programs.measuring:
+            life.move(RunEvent.LAUNCH)
+        processes.start(link, work.prepared.scripts, remote, *programs, setup=work.setup)
+
+    start(*([work.programs.sampler] if work.programs.sampler else []), *first, stage=first)
     for stage in later:
         names = [program.name for program in work.programs.awaited]
         _wait_ready(work, names)
@@ -311,7 +352,7 @@ def _start_suite(work: Work) -> str | None:
             # The run has failed. What publishes would not notice, and take as long as if all were there.
             processes.end(link, remote, *names)
             return f"{ended[0]} ended before {stage[0].name} was started: {_last_word(work, ended[0])}"
-        start(*stage)
+        start(*stage, stage=stage)
     return None
 
 

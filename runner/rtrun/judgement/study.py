@@ -313,7 +313,7 @@ def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Questi
             clock_step_ns=_clock_step_ns(alike),
             emulated=first.platform is Platform.EMULATED,
             side_by_side=side_by_side,
-            lost=tuple(str(one) for one in basis.lost if not one.kind or one.kind in kinds),
+            lost=tuple(str(one) for one in basis.lost if one.may_be_of(kinds)),
             unseen_share=seen.unseen_share,
             hidden_share=seen.hidden_share,
             hours=hours_measured(records),

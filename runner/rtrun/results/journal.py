@@ -1,27 +1,38 @@
 """The journal of a campaign, a SQLite file in its results folder: by it a campaign is known again after a crash."""
 
 import contextlib
+import fcntl
 import itertools
+import os
 import re
 import secrets
 import sqlite3
 import threading
-from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from time import sleep
+from typing import IO, Any
 from urllib.parse import quote
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.results.record import RunStatus
-from rtrun.results.run_state import RunState
+from rtrun.results.run_state import GivenUp, RunState
 
 NAME = "journal.sqlite"
 SESSION = "session"
 GIVEN = "given to"
+KEPT = "kept as "
+"""Begins the reason of what a restart of the target cut off: the name of its folder follows."""
 _AT = "at place"
+_LOCK = ".lock"
+# Who only reads holds the lock for a moment.
+_LOOKS, _LOOK_S = 5, 0.05
+_MEASURES = (RunState.LAUNCHING, RunState.MEASURING, RunState.OBSERVING, RunState.ENDED)
+_END = dict.fromkeys(_MEASURES, "begun and never closed") | {RunState.CUT_OFF: "cut off by a restart of the target"}
+# The last two are the words of older versions for the first.
+_UNRELATED = (GivenUp.INTERRUPTED, GivenUp.NOT_MEASURED, "KeyboardInterrupt", "rtrun was interrupted")
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS campaign (uid TEXT NOT NULL, name TEXT NOT NULL, plan TEXT NOT NULL, target TEXT NOT NULL);
@@ -164,19 +175,109 @@ def place_of_begun(folder: Path, target: str) -> str | None:
     return place if begun else None
 
 
-def closings(folder: Path) -> dict[str, int] | None:
-    """How often each run was closed, by the journal of a results folder; None without one that can be read."""
+@dataclass(slots=True, kw_only=True)
+class RunAttempts:
+    """What the journal says of the attempts at one run that began to measure."""
+
+    closed: int = 0
+    kept: int = 0
+    """Cut off by a restart of the target, and kept as incomplete."""
+    given_up: list[str] = field(default_factory=list)
+    """Why each was ended that took longer than it may."""
+    _open: RunState | None = None
+    """How the last one stands, where it was begun and is not closed."""
+    _is_given_up: bool = False
+    """Whether the last one stands in `given_up`."""
+    _never_closed: list[str] = field(default_factory=list)
+
+    def never_closed(self, *, goes_on: bool) -> list[str]:
+        """What is known of each of which nobody knows how it would have ended; the last one may still go on."""
+        return self._never_closed if goes_on or self._open is None else [*self._never_closed, _END[self._open]]
+
+    def follow(self, what: str, reason: str) -> None:
+        """Take the next event of the run."""
+        if what == RunState.STARTING:
+            self._end()
+            self._is_given_up = False
+        elif what in _MEASURES:
+            if self._is_given_up:
+                # Nobody had ended it, and it is picked up.
+                del self.given_up[-1]
+                self._is_given_up = False
+            self._open = RunState(what)
+        elif what == RunState.CUT_OFF:
+            self._open = self._open and RunState.CUT_OFF
+        elif what == RunState.CLOSED and reason.startswith(tuple(RunStatus)):
+            # With another reason it is a restart of the target after that, which leaves it closed as it is.
+            self.closed, self._open = self.closed + 1, None
+        elif what == RunState.PLANNED and reason.startswith(KEPT):
+            self.kept, self._open = self.kept + 1, None
+        elif what == RunState.PLANNED:
+            self._give_up(reason)
+
+    def _give_up(self, reason: str) -> None:
+        if reason.startswith(GivenUp.LEFT) or self._open == RunState.CUT_OFF:
+            self._end()
+        # Who observes and is ended by an error has seen nothing: what was seen is closed.
+        if self._open not in (None, RunState.OBSERVING) and not reason.startswith(_UNRELATED):
+            self.given_up.append(reason)
+            self._is_given_up = True
+        self._open = None
+
+    def _end(self) -> None:
+        self._never_closed, self._open = self.never_closed(goes_on=False), None
+
+
+def attempts(folder: Path) -> dict[str, RunAttempts] | None:
+    """What was attempted at each run, by the journal of a results folder; None without one that can be read."""
     rows = _events(folder)
     if rows is None:
         return None
-    # A restart of the target after its end leaves a run closed as it is, and is noted with another reason.
-    statuses = tuple(RunStatus)
-    closed = (
-        run
-        for run, what, reason in rows
-        if what == RunState.CLOSED and isinstance(reason, str) and reason.startswith(statuses)
-    )
-    return dict(Counter(run for run in closed if isinstance(run, str) and _RUN.fullmatch(run)))
+    found: dict[str, RunAttempts] = {}
+    for run, what, reason in rows:
+        if isinstance(run, str) and _RUN.fullmatch(run) and isinstance(what, str):
+            found.setdefault(run, RunAttempts()).follow(what, reason if isinstance(reason, str) else "")
+    return found
+
+
+@contextlib.contextmanager
+def at_work(folder: Path) -> Iterator[None]:
+    """Keep a second runner away from these results; the lock ends with the process, however that ends.
+
+    Raises UsageError where another one is at work, or the file of the lock cannot be used.
+    """
+    path = folder / _LOCK
+    try:
+        # Not through a link, and nothing is written: the file may be somebody else's.
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be locked, remove it: {error.strerror}") from error
+    with os.fdopen(handle, "rb", buffering=0) as lock:
+        looks = 1
+        while not _take(lock, fcntl.LOCK_EX):
+            if looks == _LOOKS:
+                raise UsageError(f"{folder}: another rtrun is at work there: wait for it, or give --results")
+            looks += 1
+            sleep(_LOOK_S)
+        yield
+
+
+def is_at_work(folder: Path) -> bool:
+    """Whether a runner measures into these results now."""
+    try:
+        handle = os.open(folder / _LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return False
+    with os.fdopen(handle, "rb", buffering=0) as lock:
+        return not _take(lock, fcntl.LOCK_SH)
+
+
+def _take(lock: IO[bytes], how: int) -> bool:
+    try:
+        fcntl.flock(lock, how | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def open_journal(folder: Path, name: str, plan: str, *targets: str) -> Journal:
@@ -200,6 +301,8 @@ def open_journal(folder: Path, name: str, plan: str, *targets: str) -> Journal:
 
 def _read(path: Path, database: sqlite3.Connection, name: str, plan: str, target: str) -> Journal:
     database.execute("PRAGMA journal_mode=WAL")
+    # What is noted is there after a power cut: an attempt that is forgotten would not count.
+    database.execute("PRAGMA synchronous=FULL")
     with database:
         database.executescript(_TABLES)
         row = database.execute("SELECT uid, plan, target FROM campaign").fetchone()

@@ -11,6 +11,8 @@ class RunState(StrEnum):
     """Nothing of it is on the target."""
     STARTING = "starting"
     """It has a folder on the target, perhaps loads that run; nothing is measured yet."""
+    LAUNCHING = "launching"
+    """The programs that measure are about to be started: it may measure, whoever is killed meanwhile."""
     MEASURING = "measuring"
     """The programs of its suite were started."""
     OBSERVING = "observing"
@@ -27,6 +29,7 @@ class RunEvent(StrEnum):
     """What moves a run."""
 
     BEGIN = "begin"
+    LAUNCH = "launch"
     START = "start"
     OBSERVE = "observe"
     PICK_UP = "pick up"
@@ -45,10 +48,15 @@ _NEXT = {
     (RunState.PLANNED, RunEvent.PICK_UP): RunState.MEASURING,
     (RunState.PLANNED, RunEvent.GIVE_UP): RunState.PLANNED,
     (RunState.PLANNED, RunEvent.RESTART): RunState.CUT_OFF,
+    (RunState.STARTING, RunEvent.LAUNCH): RunState.LAUNCHING,
+    # What its suite needs has ended: the programs that measure are not started.
     (RunState.STARTING, RunEvent.START): RunState.MEASURING,
     (RunState.STARTING, RunEvent.OBSERVE): RunState.OBSERVING,
     (RunState.STARTING, RunEvent.GIVE_UP): RunState.PLANNED,
     (RunState.STARTING, RunEvent.RESTART): RunState.CUT_OFF,
+    (RunState.LAUNCHING, RunEvent.START): RunState.MEASURING,
+    (RunState.LAUNCHING, RunEvent.GIVE_UP): RunState.PLANNED,
+    (RunState.LAUNCHING, RunEvent.RESTART): RunState.CUT_OFF,
     (RunState.OBSERVING, RunEvent.END): RunState.ENDED,
     (RunState.OBSERVING, RunEvent.GIVE_UP): RunState.PLANNED,
     (RunState.OBSERVING, RunEvent.RESTART): RunState.CUT_OFF,
@@ -63,6 +71,17 @@ _NEXT = {
     # The restart came while the folder on the target was being removed.
     (RunState.CLOSED, RunEvent.RESTART): RunState.CLOSED,
 }
+
+
+class GivenUp(StrEnum):
+    """Why an attempt was given up: the first words of the reason that the journal has for it."""
+
+    INTERRUPTED = "interrupted"
+    """By the user, in the time that it was to take."""
+    NOT_MEASURED = "nothing was measured"
+    TOO_LONG = "took longer than it may"
+    LEFT = "left by an earlier call"
+    """What it had measured is not known."""
 
 
 def transition(state: RunState, event: RunEvent) -> RunState:

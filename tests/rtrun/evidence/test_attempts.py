@@ -8,7 +8,7 @@ import pytest
 from report.campaigns import latencies, message_run
 
 from rtrun.cli import main
-from rtrun.results.journal import NAME, open_journal
+from rtrun.results.journal import NAME, at_work, open_journal
 from rtrun.results.run_state import RunState
 
 QUESTION = ["--deadline", "400us", "--probability", "1e-3", "--bursts", "1"]
@@ -104,3 +104,78 @@ def test_a_restart_after_the_end_of_a_run_loses_nothing(results, capsys):
             log.note("2026-11-21T10:01:00+00:00", run, RunState.CLOSED, "ok")
         log.note("2026-11-21T10:01:01+00:00", "02-messages", RunState.CLOSED, "board: was restarted")
     assert lost_of(results, capsys) == []
+
+
+def noted(results, run, *events):
+    """A journal by which both runs that are here were closed, and this became of another attempt at one."""
+    closed(results, "01-messages", "02-messages")
+    with closing(open_journal(results, "test", "1:plan", "board")) as log:
+        for what, reason in events:
+            log.note("2026-11-21T11:00:00+00:00", run, what, reason)
+
+
+BEGUN = ((RunState.STARTING, None), (RunState.LAUNCHING, None), (RunState.MEASURING, None))
+
+
+@pytest.mark.parametrize(
+    ("events", "why"),
+    [
+        ([*BEGUN, (RunState.PLANNED, "took longer than it may: sh")], ["took longer than it may: sh"]),
+        (BEGUN, ["begun and never closed"]),
+        (BEGUN[:2], ["begun and never closed"]),
+        ([*BEGUN, (RunState.CUT_OFF, "x")], ["cut off by a restart of the target"]),
+        (
+            [*BEGUN, (RunState.CUT_OFF, "x"), (RunState.PLANNED, "kept as 01-messages.incomplete-1")],
+            ["cut off by a restart of the target, and what was kept of it is not here"],
+        ),
+        ([*BEGUN, (RunState.PLANNED, "interrupted")], []),
+        (BEGUN[:1], []),
+        ([(RunState.STARTING, None), (RunState.PLANNED, "nothing was measured: no space")], []),
+    ],
+)
+@pytest.mark.parametrize("run", ["01-messages", "03-messages", "03-messages.warm-up"])
+def test_what_left_no_record_counts_unless_its_end_is_known(results, run, events, why, capsys):
+    noted(results, run, *events)
+    assert lost_of(results, capsys) == [f"{run}: {each}" for each in why if "warm-up" not in run]
+
+
+def test_what_a_killed_runner_closed_is_no_loss(results, capsys):
+    """It had no time to say so."""
+    noted(results, "03-messages", *BEGUN)
+    write(results, "03-messages", 3)
+    assert lost_of(results, capsys) == []
+
+
+def test_what_is_cut_off_counts_whether_it_is_closed_later_or_not(results, capsys):
+    noted(results, "03-messages", *BEGUN, (RunState.CUT_OFF, "x"))
+    (results / "03-messages.incomplete-1").mkdir()
+    assert lost_of(results, capsys) == ["03-messages.incomplete-1: cut off by a restart of the target"]
+
+
+def test_what_goes_on_is_not_lost_yet(results, capsys):
+    noted(results, "03-messages", *BEGUN)
+    with at_work(results):
+        assert lost_of(results, capsys) == []
+    assert lost_of(results, capsys) == ["03-messages: begun and never closed"]
+
+
+def test_a_run_whose_record_was_removed_counts(results, capsys):
+    closed(results, "01-messages", "02-messages", "03-messages", "03-messages")
+    for name in ("03-messages", "03-messages.old-1"):
+        (write(results, name, 3) / "run.json").unlink()
+    assert lost_of(results, capsys) == 2 * ["03-messages: closed 2 times by the journal, 0 of them are here"]
+
+
+def test_another_kind_is_not_concerned_by_what_left_no_record(results, capsys):
+    """Nor is what it would have measured, whatever target the next attempt was on."""
+    noted(results, "03-messages", *BEGUN)
+    write(results, "03-messages", 3, condition="cpu80")
+    write(results, "04-messages", 4, condition="cpu80")
+    with closing(open_journal(results, "test", "1:plan", "board")) as log:
+        log.note("2026-11-21T11:00:00+00:00", "03-messages", RunState.STARTING)
+        log.note("2026-11-21T11:00:00+00:00", "03-messages", RunState.CLOSED, "ok")
+    capsys.readouterr()
+    assert main(["verdict", str(results), *QUESTION, "--json"]) == 0
+    groups = json.loads(capsys.readouterr().out)["groups"]
+    lost = {group["runs"][0]: group["verdict"]["lost"] for group in groups}
+    assert lost == {"01-messages": [], "03-messages": ["03-messages: begun and never closed"]}

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from faulty import write_faulty_suites
+from faulty import lost, write_faulty_suites
 
 from conftest import serve
 from rtfiles.errors import InfrastructureError
@@ -118,6 +118,9 @@ def test_a_board_that_vanishes_does_not_stop_the_other(farm, capsys):
     assert "rtrun: right: " in (err := process.stderr.read()) and "the other boards measure what it leaves" in err
     assert {record["target"]["name"] for record in closed().values()} == {"left"} and len(closed()) == 4
     assert len(left.wishes.calls()) == 4
+    # Whether its link was lost or it hung, nobody knows.
+    (attempt,) = lost(RESULTS)
+    assert attempt.endswith(": begun and never closed")
 
 
 def test_a_runner_that_is_killed_again_and_again_loses_no_run_and_measures_none_twice(farm):

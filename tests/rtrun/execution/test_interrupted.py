@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 
 import faulty
 import pytest
-from faulty import record, runs_of
+from faulty import lost, record, runs_of
 
 from rtrun.execution import board, campaign_runner, resumption, run_execution, run_programs
 from rtrun.execution.middleware import roscpp
@@ -83,7 +83,7 @@ def out_of_reach(wishes):
 
 
 @pytest.mark.parametrize("end", [Stop, KeyboardInterrupt])
-def test_after_the_sampler_was_ended(bare_target, wishes, measure, interrupt, end):
+def test_after_the_sampler_was_ended(bare_target, tmp_path, wishes, measure, interrupt, end):
     """What we ended ourselves, sampler and ROS master, is not taken for dead."""
     runs = runs_of(1)
 
@@ -93,6 +93,7 @@ def test_after_the_sampler_was_ended(bare_target, wishes, measure, interrupt, en
     interrupt(bare_target, runs, pull, end, module=run_execution.download, name="pull")
     assert measure(bare_target, runs) == ["ok"]
     assert len(wishes.calls()) == 1
+    assert lost(tmp_path / "results") == []
 
 
 def test_an_error_of_ours_leaves_the_run_and_its_master_alone(bare_target, wishes, measure, interrupt):
@@ -130,11 +131,81 @@ def test_a_link_that_breaks_again_and_again_leaves_the_run_its_master(bare_targe
     assert not list(Path(bare_target.work_dir).glob("master/*"))
 
 
-def test_what_the_target_should_have_ended_is_given_up(target, wishes, interrupt):
-    wishes.will("sleep 60")
-    runs = runs_of(1)
-    interrupt(target, runs, failing(wishes, DeadlineExpired("took longer")), DeadlineExpired)
+def test_what_the_target_should_have_ended_is_given_up_and_counts_as_late(target, tmp_path, wishes, measure, interrupt):
+    wishes.will("ok", "sleep 60")
+    runs = runs_of(2)
+
+    def wait(link, folder, name, wait=processes.wait, **more):
+        if "fq101" in folder.name:
+            wishes.await_calls(2)
+            raise DeadlineExpired("sh: 75 s were over")
+        return wait(link, folder, name, **more)
+
+    interrupt(target, runs, wait, DeadlineExpired)
     assert not list(Path(target.work_dir).glob("runs/*/*"))
+    told = [f"{runs[1].name}: took longer than it may: sh: 75 s were over"]
+    assert lost(tmp_path / "results") == told
+    assert measure(target, runs) == ["ok", "ok"]
+    assert lost(tmp_path / "results") == told, "whoever measures it again"
+
+
+@pytest.mark.parametrize("extra_s", [run_execution.HUNG_EXTRA_S, -60.0], ids=["in its time", "after its time"])
+def test_ctrl_c_has_nothing_to_do_with_lateness_unless_it_hangs(
+    target, tmp_path, wishes, measure, interrupt, monkeypatch, extra_s
+):
+    monkeypatch.setattr(run_execution, "HUNG_EXTRA_S", extra_s)
+    runs = runs_of(1)
+    interrupt(target, runs, failing(wishes, KeyboardInterrupt()), KeyboardInterrupt)
+    assert measure(target, runs) == ["ok"]
+    is_late = [
+        each.startswith(f"{runs[0].name}: took longer than it may: interrupted after ")
+        for each in lost(tmp_path / "results")
+    ]
+    assert is_late == [True] * (extra_s < 0)
+
+
+@pytest.mark.parametrize("is_there", [True, False], ids=["the target has it", "it is gone"])
+@pytest.mark.parametrize("step", ["before", "after"])
+def test_a_runner_that_is_killed_when_it_starts_the_measuring(
+    target, tmp_path, wishes, measure, interrupt, step, is_there
+):
+    runs = runs_of(1)
+
+    def start(*words, start=processes.start, **more):
+        if step == "after":
+            start(*words, **more)
+            wishes.await_calls()
+        raise Stop
+
+    interrupt(target, runs, start, Stop, name="start")
+    if not is_there:
+        (folder,) = Path(target.work_dir).glob("runs/*/*")
+        with Link(target, print) as link:
+            processes.give_up(link, PurePosixPath(folder))
+    assert measure(target, runs) == ["ok"]
+    assert len(wishes.calls()) == 1 + (step == "after" and not is_there)
+    assert lost(tmp_path / "results") == [f"{runs[0].name}: begun and never closed"] * (not is_there)
+
+
+def test_a_run_that_cannot_be_started_was_not_late(target, tmp_path, wishes, measure, interrupt):
+    def start(*_, **__):
+        raise TargetError("sh: cannot fork")
+
+    interrupt(target, runs_of(1), start, TargetError, name="start")
+    assert measure(target, runs_of(1)) == ["ok"]
+    assert lost(tmp_path / "results") == []
+
+
+def test_a_runner_that_is_killed_and_never_comes_back(target, tmp_path, wishes, interrupt):
+    runs = runs_of(2)
+
+    def wait(link, folder, name, wait=processes.wait, **more):
+        if "fq101" in folder.name:
+            raise Stop
+        return wait(link, folder, name, **more)
+
+    interrupt(target, runs, wait, Stop)
+    assert lost(tmp_path / "results") == [f"{runs[1].name}: begun and never closed"]
 
 
 @pytest.mark.parametrize("before", [True, False])
@@ -313,6 +384,7 @@ def test_a_run_whose_giving_up_was_cut_short_is_begun_anew(target, tmp_path, wis
     assert measure(target, runs) == ["ok"]
     assert len(wishes.calls()) == 2
     assert not list((tmp_path / "results").glob("*.old-*"))
+    assert lost(tmp_path / "results") == [], "nothing but Ctrl-C ended it"
 
 
 def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp_path, wishes, measure, interrupt):
@@ -321,6 +393,7 @@ def test_a_failed_run_that_was_closed_is_repeated_and_not_read_again(target, tmp
     interrupt(target, runs, close_and_stop, Stop, module=run_execution.run_directory, name="close")
     assert measure(target, runs) == ["ok"]
     assert len(wishes.calls()) == 2
+    assert lost(tmp_path / "results") == [f"{runs[0].name}.old-1: failed, then measured again"]
 
 
 def test_what_a_killed_runner_left_of_a_closed_run_is_removed_before_the_next(

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faulty import measure, runs_of, write_files
+from faulty import lost, measure, runs_of, write_files
 from proxy import proxy_to
 from written import write_npy
 
@@ -56,6 +57,7 @@ def test_a_runner_killed_at_twenty_random_moments(ready_target, tmp_path, wishes
     assert finished(results) == finished(tmp_path / "undisturbed"), f"seed {seed}"
     assert len(wishes.calls()) - calls == 6, f"seed {seed}: a run that is going on is picked up, never started twice"
     assert not list(results.glob(".*.partial")), f"seed {seed}"
+    assert lost(results) == [], f"seed {seed}: all that was begun was closed"
     for folder in results.iterdir():
         if folder.is_dir():
             record = json.loads((folder / "run.json").read_text())
@@ -115,6 +117,7 @@ def test_a_link_that_stays_cut_is_an_error_and_the_run_is_picked_up_later(proxie
     statuses = measure(target, runs, tmp_path / "results", watching)
     assert statuses == ["ok", "ok", "ok"]
     assert len(wishes.calls()) == 3, "the run went on without us and is not measured again"
+    assert lost(tmp_path / "results") == []
 
 
 def test_two_runners_do_not_mix(proxied, tmp_path, wishes):
@@ -149,3 +152,6 @@ def test_a_reboot_while_nobody_looked(ready_target, tmp_path, wishes):
     assert np.load(kept / "cyclic_timer_tests_l10_fq100.npy").tolist() == [[n] for n in range(1, 7)]
     assert (kept / "cyclic_timer_tests.stdout").read_text() == "\tINFO: as far as it came\n"
     assert not (kept / "run.json").exists()
+    assert lost(results) == [f"{kept.name}: cut off by a restart of the target"]
+    shutil.rmtree(kept)
+    assert lost(results) == [f"{run.name}: cut off by a restart of the target, and what was kept of it is not here"]

@@ -138,7 +138,7 @@ def test_the_journal_tells_the_life_of_each_run(results, wishes, measure):
     runs = runs_of(1)
     measure(runs)
     events = sqlite3.connect(results / "journal.sqlite").execute("SELECT run, what, reason FROM event").fetchall()
-    assert [what for _, what, _ in events] == ["session", "starting", "measuring", "ended", "closed"]
+    assert [what for _, what, _ in events] == ["session", "starting", "launching", "measuring", "ended", "closed"]
     assert events[-1][2].startswith("failed: cyclic_timer_tests ended with exit status 1")
 
 

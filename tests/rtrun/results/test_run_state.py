@@ -2,7 +2,7 @@
 
 import pytest
 
-from rtrun.execution.run_execution import must_give_up
+from rtrun.execution.run_execution import must_give_up, why_given_up
 from rtrun.results.run_state import RunEvent, RunLife, RunState, transition
 from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError, TargetGone
 from rtrun.targets.link import TargetRebooted
@@ -25,6 +25,10 @@ def after(*events):
         ("PICK_UP END CLOSE", "closed"),
         ("BEGIN GIVE_UP", "planned"),
         ("BEGIN START GIVE_UP BEGIN", "starting"),
+        ("BEGIN LAUNCH", "launching"),
+        ("BEGIN LAUNCH START END CLOSE", "closed"),
+        ("BEGIN LAUNCH GIVE_UP", "planned"),
+        ("BEGIN LAUNCH RESTART", "cut off"),
         ("BEGIN START RESTART", "cut off"),
         ("RESTART KEEP BEGIN START", "measuring"),
         ("BEGIN START END CLOSE RESTART", "closed"),
@@ -59,14 +63,31 @@ def test_what_cannot_happen_is_a_defect(state, event):
         (ConnectionLost("x"), ()),
         (TargetGone("x"), ()),
         (TargetRebooted("x"), ()),
-        (TargetError("x"), (RunState.STARTING, RunState.OBSERVING)),
-        (KeyboardInterrupt(), (RunState.STARTING, RunState.MEASURING, RunState.OBSERVING)),
-        (DeadlineExpired("x"), (RunState.STARTING, RunState.MEASURING, RunState.OBSERVING)),
+        (TargetError("x"), (RunState.STARTING, RunState.LAUNCHING, RunState.OBSERVING)),
+        (KeyboardInterrupt(), (RunState.STARTING, RunState.LAUNCHING, RunState.MEASURING, RunState.OBSERVING)),
+        (DeadlineExpired("x"), (RunState.STARTING, RunState.LAUNCHING, RunState.MEASURING, RunState.OBSERVING)),
         (ZeroDivisionError(), ()),
     ],
 )
 def test_when_a_run_is_given_up(error, states):
     assert tuple(state for state in RunState if must_give_up(state, error)) == states
+
+
+@pytest.mark.parametrize(
+    ("state", "error", "taken_s", "reason"),
+    [
+        (RunState.MEASURING, DeadlineExpired("x"), 500, "took longer than it may: x"),
+        (RunState.LAUNCHING, DeadlineExpired("x"), 5, "took longer than it may: x"),
+        (RunState.MEASURING, KeyboardInterrupt(), 30, "interrupted"),
+        (RunState.MEASURING, KeyboardInterrupt(), 31, "took longer than it may: interrupted after 31 s, of 10 s"),
+        (RunState.LAUNCHING, TargetError("cannot fork"), 5, "nothing was measured: cannot fork"),
+        (RunState.STARTING, DeadlineExpired("x"), 500, "nothing was measured: x"),
+        (RunState.STARTING, KeyboardInterrupt(), 500, "interrupted"),
+        (RunState.OBSERVING, KeyboardInterrupt(), 500, "interrupted"),
+    ],
+)
+def test_who_interrupts_a_run_that_seems_to_hang_says_so(state, error, taken_s, reason):
+    assert why_given_up(state, error, taken_s, 10) == reason
 
 
 def test_every_state_is_noted_with_its_reason():
