@@ -179,3 +179,16 @@ def test_another_kind_is_not_concerned_by_what_left_no_record(results, capsys):
     groups = json.loads(capsys.readouterr().out)["groups"]
     lost = {group["runs"][0]: group["verdict"]["lost"] for group in groups}
     assert lost == {"01-messages": [], "03-messages": ["03-messages: begun and never closed"]}
+
+
+@pytest.mark.parametrize("name", ["03-graph", "01-graph.old-1"])
+def test_a_topology_that_hung_counts_for_each_of_its_streams(tmp_path, name, capsys):
+    """It has none of its own."""
+    for number in (1, 2):
+        write(tmp_path, f"{number:02}-graph", number, condition="cpu80")
+        write(tmp_path, f"{number:02}-graph-scan", 10 + number, observed_by=f"{number:02}-graph")
+    write(tmp_path, "00-other", 4, condition="io")
+    write(tmp_path, name, 3, condition="cpu80", status="failed", reason="it hung")
+    assert main(["verdict", str(tmp_path), *QUESTION, "--json"]) == 0
+    lost = {group["runs"][0]: group["verdict"]["lost"] for group in json.loads(capsys.readouterr().out)["groups"]}
+    assert {run: len(each) for run, each in lost.items()} == {"01-graph": 1, "01-graph-scan": 1, "00-other": 0}
