@@ -125,8 +125,8 @@ class Verdict:
 
     @property
     def unlike_share(self) -> float | None:
-        """The largest share of boots of another kind that the answer may have missed; None for boots not known."""
-        return unlike_share(self.boots, self.question.confidence) if self.boots else None
+        """That of boots among `unlike`; None for boots that are not known."""
+        return next((each.share for each in self.unlike if each.unit == "boot"), None)
 
     def hours(self, measurements: int) -> float | None:
         """How long so many measurements take; None when the period is not known."""
