@@ -10,13 +10,14 @@ import time
 import xmlrpc.client
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import pytest
 from hypothesis import settings
 
 from ports import free_port
 from rtrun.targets.address import Address
+from rtrun.targets.config import Target
 
 # A shell that starts us in the background lets us, and all we start, ignore Ctrl-C; the tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -96,6 +97,18 @@ class Sshd:
     @property
     def address(self) -> Address:
         return Address(host=self.host, port=self.port, user=self.user, key=self.key, host_key=self.host_key)
+
+    def target(self, work_dir: Path, *, suites: Path | None = None, master_port: int = 11311) -> Target:
+        """A target behind it, called loopback."""
+        return Target(
+            name="loopback",
+            address=self.address,
+            suites=suites,
+            work_dir=PurePosixPath(work_dir),
+            setup=None,
+            master_port=master_port,
+            reconnect_s=20,
+        )
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,6 @@ from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.run import SET_UP_S, Run
 from rtrun.results.record import read_record
 from rtrun.targets.address import Address
-from rtrun.targets.config import Target
 from rtrun.targets.connection import Connection
 from rtrun.targets.ssh.ssh_shell import SshShell
 
@@ -131,15 +130,7 @@ def test_overhead(sshd, ros_master, tmp_path, monkeypatch):
     monkeypatch.chdir(TOP)
     assert rtgen.cli.main(["suites", "build", "--machine", "host"]) == 0
     suites = TOP / "build" / "suites" / "host"
-    target = Target(
-        name="loopback",
-        address=sshd.address,
-        suites=suites,
-        work_dir=PurePosixPath(tmp_path / "target"),
-        setup=None,
-        master_port=ros_master,
-        reconnect_s=20,
-    )
+    target = sshd.target(tmp_path / "target", suites=suites, master_port=ros_master)
 
     def measure(name, entries, by_hand=True):
         """Run a campaign; return its runs, their times and how long it took without what was done beside it."""

@@ -7,7 +7,6 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from conftest import apart, serve, without_groups
-from rtrun.targets.config import Target
 from rtrun.targets.link import Link
 
 
@@ -24,16 +23,7 @@ def place(request, tmp_path, remarks):
     with ExitStack() as stack:
         server = stack.enter_context(serve(tmp_path / "sshd", request.param()))
         stack.callback(server.process.kill)
-        target = Target(
-            name="board",
-            address=server.address,
-            suites=None,
-            work_dir=PurePosixPath(tmp_path / "target"),
-            setup=None,
-            master_port=11311,
-            reconnect_s=20,
-        )
-        link = stack.enter_context(Link(target, remarks.append))
+        link = stack.enter_context(Link(server.target(tmp_path / "target"), remarks.append))
         yield link, PurePosixPath(tmp_path / "run"), request.param is apart
 
 

@@ -1,7 +1,6 @@
 """A target behind the real sshd, for everything that needs no board."""
 
 from dataclasses import replace
-from pathlib import PurePosixPath
 
 import pytest
 from faulty import write_faulty_suites
@@ -9,21 +8,12 @@ from report.campaigns import write_campaign
 
 from conftest import BOOT_ID, seeing, serve
 from ports import free_port
-from rtrun.targets.config import Target
 from rtrun.targets.link import Link
 
 
 @pytest.fixture
 def loopback(sshd, tmp_path):
-    return Target(
-        name="loopback",
-        address=sshd.address,
-        suites=None,
-        work_dir=PurePosixPath(tmp_path / "target"),
-        setup=None,
-        master_port=11311,
-        reconnect_s=20,
-    )
+    return sshd.target(tmp_path / "target")
 
 
 @pytest.fixture
