@@ -4,6 +4,7 @@ P(miss) is the target itself, but for a millionth part, so that every PROVEN is 
 suit the method: nothing in a sample but the misses hints at bursts, boots or a change.
 """
 
+import contextlib
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -38,6 +39,9 @@ from rtrun.judgement import study as studies
 from rtrun.judgement.study import study
 from rtrun.plan import question as questions
 from rtrun.plan.question import Bursts, Of, Question, Tolerance, read_tolerance
+from rtrun.results.journal import open_journal
+from rtrun.results.record import RunStatus
+from rtrun.results.run_state import GivenUp, RunState
 from rtrun.results.series import SampleSeries, read_file
 
 SEED = 20140715
@@ -351,17 +355,26 @@ def proven_by_those_that_did_not_hang(rng: Rng) -> bool:
 def proven_by_lucky_runs(rng: Rng) -> bool:
     """PROVEN from runs in which a publisher kept its rate, each repeated until it did.
 
-    In one attempt of two something keeps it from that, and deadlines are missed twenty times as often.
+    In one attempt of two something keeps it from that, and deadlines are missed twenty times as often. Of half of these
+    attempts, which the runner ended, nothing but a line in the journal is left.
     """
-    with tempfile.TemporaryDirectory() as folder:
+    is_ended = bool(rng.integers(2))
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.closing(open_journal(Path(folder), "campaign", "1:plan", "board")) as journal,
+    ):
         for number in range(2):
             attempts = 1 + int(rng.integers(1, 3))
             for attempt in range(attempts):
                 is_last = attempt == attempts - 1
                 values = processes.independent(5000, P / 10 if is_last else 2 * P, rng)
-                null_campaigns.write_sent(
-                    Path(folder), f"{number}" if is_last else f"{number}.old-{attempt}", values, is_kept=is_last
-                )
+                journal.note("", f"{number}", RunState.LAUNCHING)
+                if is_ended and not is_last:
+                    journal.note("", f"{number}", RunState.PLANNED, GivenUp.TOO_LONG)
+                    continue
+                name = f"{number}" if is_last else f"{number}.old-{attempt}"
+                null_campaigns.write_sent(Path(folder), name, values, is_kept=is_last)
+                journal.note("", f"{number}", RunState.CLOSED, RunStatus.OK if is_last else RunStatus.INVALID)
         question = Question(deadline_ns=DEADLINE_NS, probability=P, bursts=1)
         return any(
             group.verdict is not None and group.verdict.answer == Answer.PROVEN

@@ -200,10 +200,10 @@ class RunAttempts:
             self._end()
             self._is_given_up = False
         elif what in _MEASURES:
-            if self._is_given_up:
+            if self._is_given_up and what == RunState.MEASURING:
                 # Nobody had ended it, and it is picked up.
                 del self.given_up[-1]
-                self._is_given_up = False
+            self._is_given_up = False
             self._open = RunState(what)
         elif what == RunState.CUT_OFF:
             self._open = self._open and RunState.CUT_OFF
