@@ -146,6 +146,25 @@ def around(middle_ns: Int64s | float, n: int, rng: Rng) -> Int64s:
     return (middle_ns + 1000 * rng.normal(size=n)).astype(np.int64)
 
 
+def starting_up(
+    n: int, p: float, rng: Rng, *, process: Process = independent, memory: int, times: float = 1.0, misses: float = 30.0
+) -> Int64s:
+    """A process whose values are so many times as high at first, and its misses so many times as frequent: p later on.
+
+    Both fade by 1/e in so many loops (`memory`).
+    """
+    fades = np.exp(-np.arange(n) / memory)
+    values = process(n, p, rng)
+    values = np.where(values > DEADLINE_NS, values, np.minimum(values * (1 + (times - 1) * fades), 399_000))
+    values[rng.random(n) < p * (misses - 1) * fades] = MISS_NS
+    return values.astype(np.int64)
+
+
+def heavy_tailed(n: int, p: float, rng: Rng) -> Int64s:
+    """Independent values from a Pareto distribution without a mean."""
+    return (DEADLINE_NS * p / (1 - rng.random(n))).astype(np.int64)
+
+
 def regimes(pieces: int, n: int, rates: Callable[[int], float], rng: Rng) -> list[Int64s]:
     """So many runs of n loops each, of which each has its own rate of misses."""
     return [independent(n, rates(piece), rng) for piece in range(pieces)]

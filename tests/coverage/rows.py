@@ -21,7 +21,7 @@ from processes import DEADLINE_NS, Int64s, Lengths, Rng
 from report.campaigns import cyclic_rows
 from written import write_output
 
-from rtrun.analysis import comparison, constancy, deadline, layers, recurrence
+from rtrun.analysis import comparison, constancy, deadline, layers, recurrence, startup
 from rtrun.analysis.blocks import Blocks, cut
 from rtrun.analysis.comparison import ComparisonAnswer, compare, correct
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
@@ -100,6 +100,25 @@ def judged(trials: Sequence[Trials], question: Question = QUESTION) -> Verdict:
 def verdict_on(runs: Sequence[Int64s], *, one_boot: bool = True) -> Verdict:
     """The verdict on runs of one boot, or of a boot each."""
     return judged([trials_of(values, k, "boot" if one_boot else str(k)) for k, values in enumerate(runs)])
+
+
+def after_startup(runs: Sequence[Int64s], *, one_boot: bool = True) -> tuple[Verdict, bool]:
+    """The verdict on what follows the start-up of runs, and whether there is one."""
+    none = np.empty(0, np.int64)
+    found = startup.find_startup([[startup.head_of(values, none, DEADLINE_NS)] for values in runs])
+    kept = runs if found is None else [startup.split(values, none, DEADLINE_NS, found.loops)[1] for values in runs]
+    return verdict_on(kept, one_boot=one_boot), found is not None
+
+
+def startup_found(number: int, make: Callable[[Rng], Int64s], rng: Rng) -> bool:
+    """Whether a start-up is left out of so many runs."""
+    return after_startup([make(rng) for _ in range(number)])[1]
+
+
+def proven_after_startup(number: int, make: Callable[[Rng], Int64s], rng: Rng, length: int = 1) -> bool:
+    """PROVEN of what follows a start-up, which is reported; and said to hold for bursts of this length."""
+    verdict, is_found = after_startup([make(rng) for _ in range(number)])
+    return verdict.answer == Answer.PROVEN and is_found and verdict.longest_burst >= length
 
 
 def proven(make: Callable[[Rng], Int64s], rng: Rng) -> bool:
@@ -609,6 +628,65 @@ ROWS = [
             (8, P, False, 0),
             (30, P, False, 0),
         )
+    ),
+    *(
+        Row(
+            name=f"values {times:g} times as high at the start, misses 30 times as frequent, by 1/e less each {memory} "
+            f"loops; P(miss) = P/10 then, {number} run{'s' * (number > 1)} of 10 000",
+            event="PROVEN, and the start-up reported",
+            draw=partial(
+                proven_after_startup,
+                number,
+                partial(processes.starting_up, 10_000, P / 10, memory=memory, times=times),
+            ),
+            # A run of 10 000 alone proves no more often without any start-up.
+            at_least=70.0 if number == 1 else 90.0, quick=20 if memory == 500 else 0, long=200,
+            remedy=(startup, "find_startup", lambda *_: None) if memory == 500 else None,
+        )
+        for number in (1, 5, 20)
+        for memory in (125, 500)
+        for times in (2.0, 3.0)
+    ),
+    *(
+        Row(
+            name=f"no start-up: {name}, {number} run{'s' * (number > 1)} of 10 000", event="a start-up is left out",
+            draw=partial(startup_found, number, partial(process, 10_000, P)), at_most=1.0,
+            quick=100 if quick and number == 1 else 0, long=1000 if number < 20 else 200,
+            remedy=(startup, "SIGNIFICANT", 1.0) if quick and number == 1 else None,
+        )
+        for number in (1, 5, 20)
+        for name, process, quick in (
+            ("independent", processes.independent, True),
+            ("AR(0.5)", partial(processes.autoregressive, memory=0.5), False),
+            ("AR(0.9)", partial(processes.autoregressive, memory=0.9), False),
+            ("AR(0.99)", partial(processes.autoregressive, memory=0.99), True),
+            ("bursts of 5", partial(processes.bursts, length=5.0), False),
+            ("bursts of 20", partial(processes.bursts, length=20.0), True),
+            ("heavy tail", processes.heavy_tailed, False),
+            ("a load of 1000 loops at random", partial(processes.slow_load, turn=1000, regular=False), False),
+            ("a load of 3000 loops at random", partial(processes.slow_load, turn=3000, regular=False), False),
+        )
+    ),
+    *(
+        Row(
+            name=f"values twice as high at the start, fading by 1/e in 125 loops, {name}, {number} "
+            f"run{'s' * (number > 1)} of {n}",
+            event=f"PROVEN and said to hold for bursts of {length}" if length > 1 else "PROVEN",
+            draw=partial(
+                proven_after_startup,
+                number,
+                partial(processes.starting_up, n, P, process=process, memory=125, times=2.0, misses=misses),
+                length=length,
+            ),
+            at_most=5.0, quick=60 if length == 5 and number == 5 else 0, long=500 if number < 20 else 200,
+        )
+        for name, length, process in (
+            ("independent", 1, processes.independent),
+            ("AR(0.9)", 1, partial(processes.autoregressive, memory=0.9)),
+            ("bursts of 5", 5, partial(processes.bursts, length=5.0)),
+            ("bursts of 20", 20, partial(processes.bursts, length=20.0)),
+        )
+        for number, n, misses in ((1, 50_000, 1.0), (5, 20_000, 30.0), (20, 10_000, 30.0))
     ),
     Row(
         name="the slowest load that the plan says these runs can judge, 10 runs of 24 000", event="a change is seen",

@@ -20,6 +20,7 @@ from rtrun.analysis.further import (
     smallest,
 )
 from rtrun.analysis.intervals import anytime_interval, anytime_lower, anytime_upper
+from rtrun.analysis.startup import LeftOut
 from rtrun.analysis.stationarity import SIGNIFICANT, Change
 from rtrun.analysis.trends import Climb
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials
@@ -75,7 +76,7 @@ class Verdict:
     where no number does. ``unseen_share`` of the time of an observation was not seen,
     ``hidden_share`` because of load, which counts as late; ``lower`` and ``upper`` have both in them. ``unlike`` says
     what may be otherwise than all that was measured, ``climbs`` which climb from boot to boot and from run to run would
-    have been seen.
+    have been seen. ``startup`` is in none of these numbers.
     """
 
     answer: Answer
@@ -112,6 +113,7 @@ class Verdict:
     episodes: Episodes | None = None
     change: Change | None = None
     refused: str | None = None
+    startup: LeftOut | None = None
 
     @property
     def misses(self) -> int:

@@ -137,7 +137,7 @@ def count_misses(
     misses = np.flatnonzero(values_ns > deadline_ns).astype(np.int64)
     late = misses.size
     if absent.size:
-        misses = np.sort(np.concatenate((_loop_positions(misses, absent), absent)))
+        misses = np.sort(np.concatenate((loop_positions(misses, absent), absent)))
     level, high = None, _NONE
     level_events = high_values(values_ns.size)
     if level_events:
@@ -163,7 +163,7 @@ def count_misses(
     )
 
 
-def _loop_positions(of_samples: Int64s, absent: Int64s) -> Int64s:
+def loop_positions(of_samples: Int64s, absent: Int64s) -> Int64s:
     """Loop positions of samples given by their rank among those that came."""
     came_before = absent - np.arange(absent.size)
     return of_samples + np.searchsorted(came_before, of_samples, side="right")

@@ -153,6 +153,7 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     from rtfiles.invocation import as_called
     from rtfiles.output import console, print_line
     from rtfiles.quantities import grouped, time
+    from rtrun.judgement.verdicts import startup_in_words
     from rtrun.plan.quantities import time_text
     from rtrun.report import causes
     from rtrun.report.screen import fitted
@@ -160,13 +161,15 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     from rtrun.targets.inspection import rt_readiness
 
     print_banner(study.platform)
-    rows, without = [], []
+    rows, notes = [], []
     for group in study.groups:
         verdict = group.verdict
         why = group.undecidable
         if verdict is not None:
             why = verdict.refused or (f"it did not stay the same: {verdict.change.text}" if verdict.change else None)
-        without += [f"{group.label}: no P: {why}"] if why else []
+        notes += [f"{group.label}: no P: {why}"] if why else []
+        if verdict is not None and (startup := startup_in_words(verdict)):
+            notes.append(f"{group.label}: {startup}")
         bound = "-" if verdict is None or why else f"{verdict.upper:.2g}"
         misses, worst_ns = (verdict.misses, verdict.worst_ns) if verdict else ("-", None)
         judged = verdict.n if verdict else group.n
@@ -178,7 +181,7 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
         screen.print(fitted(("measured", "n", "misses", "P is below", "worst"), rows, range(1, 5), screen.width))
     else:
         print_line(f"This proves nothing of P({study.miss}): no run counts")
-    for text in (*without, *(f"not analysed: {text}" for text in study.left_out)):
+    for text in (*notes, *(f"not analysed: {text}" for text in study.left_out)):
         print_line(text)
     ranking, explained, _ = causes.ranked(study.source)
     if explained:

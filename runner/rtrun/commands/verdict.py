@@ -46,7 +46,7 @@ def print_answers(study: "Study") -> None:
     from rtfiles.output import console, counted, print_line
     from rtrun.judgement.boards import differences, spread
     from rtrun.judgement.standings import standings
-    from rtrun.report.standings import question, reasons, table
+    from rtrun.report.standings import question, reasons, startups, table
     from rtrun.report.terminal import print_banner
 
     print_banner(study.platform)
@@ -58,7 +58,7 @@ def print_answers(study: "Study") -> None:
         screen.print(table(groups, screen.width))
     if without := len(every) - len(groups):
         print_line(f"{counted(without, 'group')} without a deadline: --deadline TIME gives all of them one")
-    for text in reasons(groups):
+    for text in (*reasons(groups), *startups(groups)):
         print_line(text)
     for group in study.pooled:
         print_line(f"{study.name(group)}: of single boards: {spread(group)}")

@@ -12,6 +12,7 @@ from rtrun.analysis.extreme_values import Tail, tail_of
 from rtrun.analysis.figures import PERCENTILES, Figures, rank
 from rtrun.analysis.histogram import Histogram, Int64s, from_samples, merge
 from rtrun.analysis.scale import Floats, Scale, scale_of
+from rtrun.analysis.startup import Head, head_of, split
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.kinds.known import MAIN_2014
 from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance
@@ -88,7 +89,8 @@ class JudgedDigest(Digest):
     """A series that a verdict is given of: the main one, or that of 2014 beside it, which tolerates no miss.
 
     `question` is what is asked of it; None: it has no deadline. `undecidable` says why there are no `trials`. Only a
-    main series whose values have an order has `tail` and `course`.
+    main series whose values have an order has `tail` and `course`. `head` is what shows a start-up; `startup` are the
+    trials of one that is left out of `trials`, but not of the figures. Both are None where nothing keeps an order.
     """
 
     question: Question | None
@@ -97,10 +99,15 @@ class JudgedDigest(Digest):
     blocks: Blocks | None
     tail: Tail | None = None
     course: ThinnedSeries | None = None
+    head: Head | None = None
+    startup: Trials | None = None
 
 
-def digest(series: Series, question: Question | None) -> Digest:
-    """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question, if there is one."""
+def digest(series: Series, question: Question | None, startup_loops: int = 0) -> Digest:
+    """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question, if there is one.
+
+    So many first loops are left out of its trials.
+    """
     header, figures = series.header, series.figures()
     histogram = series.histogram if isinstance(series, HistogramSeries) else from_samples(series.values_ns)
     if not header.main and header.series not in MAIN_2014:
@@ -120,18 +127,25 @@ def digest(series: Series, question: Question | None) -> Digest:
         )
     values_ns = series.values_ns
     has_order = header.main and values_ns.size > 0
+    head, startup, trials = None, None, None
+    if question:
+        head = head_of(values_ns, series.absent, question.deadline_ns)
+        steady_ns, absent = values_ns, series.absent
+        if startup_loops:
+            startup, steady_ns, absent = split(values_ns, absent, question.deadline_ns, startup_loops)
+        trials = count_misses(steady_ns, question.deadline_ns, absent, tolerance, header.period_ns)
     return JudgedDigest(
         header=header,
         figures=figures,
         histogram=histogram,
         question=question,
-        trials=count_misses(values_ns, question.deadline_ns, series.absent, tolerance, header.period_ns)
-        if question
-        else None,
+        trials=trials,
         undecidable=undecidable,
         blocks=cut(values_ns) if values_ns.size else None,
         tail=tail_of(values_ns) if has_order else None,
         course=_course(values_ns, histogram) if has_order else None,
+        head=head,
+        startup=startup,
     )
 
 

@@ -7,7 +7,7 @@ from rtfiles.output import counted
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
-from rtrun.judgement.verdicts import hidden_in_words, sentences, severity, verdict_line
+from rtrun.judgement.verdicts import hidden_in_words, sentences, severity, startup_in_words, verdict_line
 from rtrun.plan.question import Question, weaker
 from rtrun.plan.suites import suites
 from rtrun.plan.topology.planning import SUITE as TOPOLOGY
@@ -150,6 +150,8 @@ def _case(group: Group, name: str, passing: Container[str], platform: Platform, 
         reason = text
     elif verdict.answer == Answer.NEEDS_MORE and (verdict.change is not None or hidden_in_words(verdict)):
         reason = sentences(verdict)[0]
+    if verdict is not None:
+        reason = "; ".join(filter(None, (reason, startup_in_words(verdict))))
     if is_member and line.answer == Answer.NEEDS_MORE:
         # The case of all boards together says whether they have measured enough.
         passed = True

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rtrun.analysis.standing import Standing
-from rtrun.judgement.digest import Digest
 from rtrun.judgement.groups import Group
-from rtrun.judgement.study import Study, study
+from rtrun.judgement.study import Known, Study, study
 from rtrun.plan.goal import Goal
 from rtrun.results.record import is_closed
 
@@ -19,7 +18,7 @@ def standings(study: Study) -> tuple[Standing, ...]:
 
 def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
     """What reads the answers of a campaign from its results so far; a closed run is read only once."""
-    known: dict[Path, tuple[Digest, ...]] = {}
+    known: Known = {}
 
     def evaluate() -> tuple[Standing, ...]:
         if not any(is_closed(folder) for folder in results.iterdir()):

@@ -3,7 +3,7 @@
 import functools
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from rtfiles.output import showing_progress
 from rtrun.analysis.deadline import Circumstances, Verdict, judge
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram
+from rtrun.analysis.startup import StartUp, find_startup, left_out
 from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
 from rtrun.evidence.attempts import LostAttempt, kind_of, lost_attempts
@@ -29,6 +30,9 @@ from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
 from rtrun.results.series import read_file
 from rtrun.targets.inspection.platform import Platform
+
+# The digests of a run directory, by the loops that are left out of their trials as start-up.
+Known = dict[tuple[Path, int], tuple[Digest, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +111,7 @@ def study(
     question: Question = THESIS,
     *,
     bounds: bool = True,
-    known: dict[Path, tuple[Digest, ...]] | None = None,
+    known: Known | None = None,
 ) -> Study:
     """Examine what is at a path: a folder of runs, one run, a log or an npy.
 
@@ -127,12 +131,21 @@ def study(
     if not source.folders:
         digests = [digest(series, question) for series in read_file(path, question.of)]
     _check_platform(path, digests)
+    folders = {record.run: folder for folder, record in records.items()}
+
+    @functools.lru_cache(maxsize=1)
+    def read_again(run: str, startup_loops: int) -> tuple[Digest, ...]:
+        if not source.folders:
+            return tuple(digest(series, question, startup_loops) for series in read_file(path, question.of))
+        return _read_run(folders[run], records[folders[run]], question, known, startup_loops).digests
+
     basis = _Basis(
         question=question,
         records={record.run: record for record in records.values()},
         lost=lost_attempts(
             source, records, refused | {folder: run.unreadable for folder, run in read.items() if run.unreadable}
         ),
+        read_again=read_again,
     )
     same = _same_counts([one for one in digests if isinstance(one, JudgedDigest)])
     judged_digests = [one for one in digests if isinstance(one, JudgedDigest) and one.run not in same]
@@ -166,11 +179,15 @@ def _same_counts(digests: Sequence[JudgedDigest]) -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Basis:
-    """What every group of a study is judged with: the question, the records by run, and what was attempted beside."""
+    """What every group of a study is judged with: the question, the records by run, and what was attempted beside.
+
+    `read_again` gives the digests of a run, so many first loops left out of their trials.
+    """
 
     question: Question
     records: Mapping[str, RunRecord]
     lost: tuple[LostAttempt, ...]
+    read_again: Callable[[str, int], tuple[Digest, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,10 +218,10 @@ def _read_records(folders: Sequence[Path]) -> tuple[dict[Path, RunRecord], dict[
 
 
 def _read_run(
-    folder: Path, record: RunRecord, question: Question, known: dict[Path, tuple[Digest, ...]] | None
+    folder: Path, record: RunRecord, question: Question, known: Known | None, startup_loops: int = 0
 ) -> _DigestedRun:
-    if known is not None and folder in known:
-        return _DigestedRun(digests=known[folder])
+    if known is not None and (folder, startup_loops) in known:
+        return _DigestedRun(digests=known[folder, startup_loops])
     if record.status is not RunStatus.OK:
         return _DigestedRun(left_out=(f"{record.run}: {record.status}: {record.reason or 'no reason given'}",))
     if record.parameters.get(ALLOCATIONS):
@@ -216,11 +233,11 @@ def _read_run(
             if series.header.incomplete:
                 incomplete[series.header.output] = series.header.incomplete
             else:
-                digests.append(digest(series, asked))
+                digests.append(digest(series, asked, startup_loops))
     except UsageError as error:
         return _DigestedRun(left_out=(str(error),), unreadable=str(error))
     if known is not None:
-        known[folder] = tuple(
+        known[folder, startup_loops] = tuple(
             replace(one, tail=None, blocks=None, course=None) if isinstance(one, JudgedDigest) else one
             for one in digests
         )
@@ -275,6 +292,7 @@ def _pooled(groups: Sequence[Group], basis: _Basis) -> Iterator[Group]:
 
 
 def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Group:
+    alike, startup = _without_startup(alike, basis)
     first, records = alike[0].header, basis.records
     trials = tuple(_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None)
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
@@ -289,7 +307,7 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
         question=asked,
         digests=tuple(alike),
         trials=trials,
-        verdict=_verdict(alike, trials, asked, basis) if trials and asked and undecidable is None else None,
+        verdict=_verdict(alike, trials, asked, basis, startup) if trials and asked and undecidable is None else None,
         undecidable=undecidable,
         bounds=worst_cases,
         no_bound=no_bound,
@@ -297,7 +315,37 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
     )
 
 
-def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Question, basis: _Basis) -> Verdict:
+def _without_startup(alike: Sequence[JudgedDigest], basis: _Basis) -> tuple[Sequence[JudgedDigest], StartUp | None]:
+    """The same digests, the start-up that their runs have in common left out of their trials, if there is one."""
+    by_run: dict[str, list[JudgedDigest]] = {}
+    for one in alike:
+        by_run.setdefault(one.run, []).append(one)
+    heads = [[one.head for one in of_run if one.head is not None] for of_run in by_run.values()]
+    startup = find_startup(heads) if sum(map(len, heads)) == len(alike) else None
+    loops = startup.loops if startup else 0
+    return [one if _startup_loops(one) == loops else _read_again(one, loops, basis) for one in alike], startup
+
+
+def _startup_loops(one: JudgedDigest) -> int:
+    return one.startup.n if one.startup else 0
+
+
+def _read_again(one: JudgedDigest, startup_loops: int, basis: _Basis) -> JudgedDigest:
+    """The same series, so many first loops left out of its trials. Raises UsageError when it is not there any more."""
+    series = one.header.output, one.header.series
+    for again in basis.read_again(one.run, startup_loops):
+        if isinstance(again, JudgedDigest) and (again.header.output, again.header.series) == series:
+            return again
+    raise UsageError(f"{one.run}: {one.header.output} was changed while it was read: try again")
+
+
+def _verdict(
+    alike: Sequence[JudgedDigest],
+    trials: Sequence[Trials],
+    question: Question,
+    basis: _Basis,
+    startup: StartUp | None,
+) -> Verdict:
     first = alike[0].header
     kinds = {kind_of(one.header.target, one.header.suite, one.header.parameters) for one in alike}
     records = [basis.records[run] for run in dict.fromkeys(one.run for one in alike) if run in basis.records]
@@ -305,7 +353,7 @@ def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Questi
     periods = [one.header.period_ns for one in alike if one.header.period_ns]
     # Subscribers of one run receive the same messages; threads of cyclictest wait for the same interrupts.
     side_by_side = len(alike) / len({one.run for one in alike})
-    return judge(
+    verdict = judge(
         trials,
         replace(question, of=first.of, tolerance=question.tolerance if first.main else NONE_TOLERATED),
         Circumstances(
@@ -319,6 +367,8 @@ def _verdict(alike: Sequence[Digest], trials: Sequence[Trials], question: Questi
             hours=hours_measured(records),
         ),
     )
+    firsts = [one.startup for one in alike if one.startup is not None]
+    return replace(verdict, startup=left_out(startup, firsts)) if startup else verdict
 
 
 def _clock_step_ns(alike: Sequence[Digest]) -> int | None:

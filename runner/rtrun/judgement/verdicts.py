@@ -69,15 +69,15 @@ def sentences(verdict: Verdict) -> list[str]:
         parts.append(episodes)
     if verdict.worst_ns is not None:
         parts.append(f"worst {time(verdict.worst_ns)}")
+    if startup := startup_in_words(verdict):
+        parts.append(startup)
     if verdict.n_effective * 1.005 < verdict.n:
         why = "dependent values" if verdict.design_effect > 1.005 else "boots count alike, however long"
         parts.append(f"{why}: worth {grouped(verdict.n_effective)} independent measurements")
     if verdict.refused:
         parts.insert(0, verdict.refused)
     elif verdict.change is not None:
-        p_value = verdict.change.p_value
-        chance = f"p = {p_value:.1g}" if p_value > 1e-99 else "p below 1e-99"
-        change = f"it did not stay the same: {verdict.change.text} ({chance})"
+        change = f"it did not stay the same: {verdict.change.text} ({_chance(verdict.change.p_value)})"
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), change)
     if hidden := hidden_in_words(verdict):
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), hidden)
@@ -87,6 +87,26 @@ def sentences(verdict: Verdict) -> list[str]:
     elif verdict.answer in (Answer.PROVEN, Answer.IF_INDEPENDENT):
         parts += _scope(verdict)
     return parts
+
+
+def _chance(p_value: float) -> str:
+    return f"p = {p_value:.1g}" if p_value > 1e-99 else "p below 1e-99"
+
+
+def startup_in_words(verdict: Verdict) -> str:
+    """The start-up that is left out of a verdict, which holds for what follows; empty where there is none."""
+    startup = verdict.startup
+    if startup is None:
+        return ""
+    held = [f"{grouped(startup.late)} late"]
+    if startup.absent:
+        held.append(f"{grouped(startup.absent)} never came")
+    if startup.worst_ns is not None:
+        held.append(f"worst {time(startup.worst_ns)}")
+    return (
+        f"start-up: the first {grouped(startup.loops)} loops of each run are left out "
+        f"({', '.join(held)}; {_chance(startup.p_value)}): the answer is of what follows"
+    )
 
 
 def hidden_in_words(verdict: Verdict) -> str:

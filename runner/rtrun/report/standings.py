@@ -11,7 +11,14 @@ from rtrun.analysis.standing import Standing
 from rtrun.analysis.stationarity import Change
 from rtrun.execution.goal import Progress
 from rtrun.judgement.study import Study
-from rtrun.judgement.verdicts import amount, held_for, hidden_in_words, is_short_of_bursts, scope_in_short
+from rtrun.judgement.verdicts import (
+    amount,
+    held_for,
+    hidden_in_words,
+    is_short_of_bursts,
+    scope_in_short,
+    startup_in_words,
+)
 from rtrun.plan.goal import Goal
 from rtrun.report.screen import fitted
 
@@ -56,6 +63,13 @@ def reasons(standings: Sequence[Standing]) -> Iterator[str]:
     for reason, labels in by_reason.items():
         everywhere = len(labels) > 1 and len(labels) == len(standings)
         yield f"{'all groups' if everywhere else ', '.join(labels)}: {reason}"
+
+
+def startups(standings: Sequence[Standing]) -> Iterator[str]:
+    """What is left out of each answer as start-up, in a line each, for below the table."""
+    for standing in standings:
+        if standing.verdict is not None and standing.verdict.startup is not None:
+            yield printable(f"{standing.label}: {startup_in_words(standing.verdict)}")
 
 
 def _has_reason(standing: Standing) -> bool:

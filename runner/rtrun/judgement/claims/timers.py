@@ -250,7 +250,16 @@ def _pooled(study: Study, groups: list[Group]) -> tuple[int, float, float, int, 
         trials = [trials for group in groups for trials in group.trials]
         if trials:
             verdict = judge(trials, Question(confidence=study.question.confidence))
-            return verdict.late, verdict.lower, verdict.upper, verdict.n, "interval on the effective sample size"
+            startups = [group.verdict.startup for group in groups if group.verdict and group.verdict.startup]
+            late = sum(startup.late for startup in startups)
+            apart = f"; start-ups left out, {late} late in them" if startups else ""
+            return (
+                verdict.late,
+                verdict.lower,
+                verdict.upper,
+                verdict.n,
+                f"interval on the effective sample size{apart}",
+            )
     late = sum(d.histogram.above(_DEADLINE_NS) for g in groups for d in g.digests)
     n = sum(g.n for g in groups)
     method = "Clopper-Pearson, independence assumed, for the runs were held against another deadline"
