@@ -87,6 +87,13 @@ def test_misses_alone_show_it_in_many_runs():
     assert find_startup([[head_of(values, NONE, 600_000)] for values in runs]) is None
 
 
+def test_misses_that_come_evenly_from_the_first_loop_on_are_none():
+    runs = [_steady(seed) for seed in range(5)]
+    for values in runs:
+        values[::100] = 500_000
+    assert _find(*runs) is None
+
+
 def test_what_never_came_is_worse_than_all():
     absent = np.arange(0, 40, 2)
     heads = [[head_of(_steady(seed), absent, DEADLINE_NS)] for seed in range(5)]

@@ -12,7 +12,7 @@ from rtrun.judgement.study import study
 from rtrun.plan.question import Question, read_tolerance
 from rtrun.results import reading
 
-QUESTION = Question(probability=1e-3)
+QUESTION = Question(probability=1e-3, bursts=1)
 WORDS = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95"]
 N, LATE = 8000, 10
 
@@ -61,6 +61,24 @@ def test_every_format_reports_it(tmp_path, capsys):
         main([words[0], str(tmp_path), *WORDS, *words[1:]])
         (group,) = json.loads(capsys.readouterr().out)["groups"]
         assert group["verdict"]["startup"]["late"] == 30, words
+
+
+def test_a_gate_of_several_answers_names_it_beside_its_own(tmp_path, capsys):
+    write(tmp_path, 3)
+    oneshot_run(tmp_path, "b", latencies(N, 9), policy="FIFO")
+    main(["gate", str(tmp_path), *WORDS])
+    told = [line for line in capsys.readouterr().out.splitlines() if "start-up" in line]
+    assert len(told) == 1 and "FIFO" not in told[0]
+
+
+def test_what_never_came_is_where_it_was(tmp_path):
+    for number in range(3):
+        values = _fading(number)
+        values[[5, 5000]] = -(2**63)
+        oneshot_run(tmp_path, f"{number}", values)
+    verdict = study(tmp_path, QUESTION).groups[0].verdict
+    assert (verdict.startup.absent, verdict.startup.late) == (3, 3 * (LATE - 1))
+    assert (verdict.absent, verdict.late, verdict.n) == (3, 0, 3 * (N - verdict.startup.loops))
 
 
 def test_runs_without_one_have_none(tmp_path):
