@@ -22,10 +22,11 @@ from report.campaigns import cyclic_rows
 from written import write_output
 
 from rtrun.analysis import comparison, constancy, deadline, layers, recurrence, startup
+from rtrun.analysis.account import Account
 from rtrun.analysis.blocks import Blocks, cut
 from rtrun.analysis.comparison import ComparisonAnswer, compare, correct
 from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
-from rtrun.analysis.deadline import Answer, Circumstances, Verdict, judge
+from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.distributions import Floats
 from rtrun.analysis.episodes import FoundEpisodes
 from rtrun.analysis.further import proves, smallest
@@ -94,7 +95,7 @@ QUESTION = Question(deadline_ns=DEADLINE_NS, probability=P * (1 - 1e-6), bursts=
 def judged(trials: Sequence[Trials], question: Question = QUESTION) -> Verdict:
     """The verdict without its forecast, which no answer rests on, and which takes most of the time."""
     with patch.object(deadline, "likely_further", lambda *_: None):
-        return judge(trials, question)
+        return judge(Account(trials), question)
 
 
 def verdict_on(runs: Sequence[Int64s], *, one_boot: bool = True) -> Verdict:
@@ -173,9 +174,6 @@ def proven_for(length: float, n: int, rng: Rng) -> bool:
     return verdict.answer == Answer.PROVEN and verdict.longest_burst >= length
 
 
-AT_1_KHZ = Circumstances(period_ns=1e6)
-
-
 def verdict_at_1_khz(runs: Sequence[Int64s], *, one_boot: bool = True) -> Verdict:
     """The verdict on runs of one boot, or of a boot each, of a stream at 1 kHz, with the bursts of the default."""
     trials = [
@@ -183,11 +181,11 @@ def verdict_at_1_khz(runs: Sequence[Int64s], *, one_boot: bool = True) -> Verdic
         for k, values in enumerate(runs)
     ]
     with patch.object(deadline, "likely_further", lambda *_: None):
-        return judge(trials, replace(QUESTION, bursts=None), AT_1_KHZ)
+        return judge(Account(trials, period_ns=1e6), replace(QUESTION, bursts=None))
 
 
 def _episodes_at_1_khz(values: Int64s) -> FoundEpisodes | None:
-    return count_misses(values, DEADLINE_NS, period_ns=AT_1_KHZ.period_ns).episodes
+    return count_misses(values, DEADLINE_NS, period_ns=1e6).episodes
 
 
 def proven_at_1_khz(make: Callable[[Rng], Int64s], rng: Rng) -> bool:
@@ -369,7 +367,7 @@ def proven_by_those_that_did_not_hang(rng: Rng) -> bool:
     for number in range(40):
         lost += ["hung"] * (int(rng.geometric(1 - hangs)) - 1)
         runs.append(trials_of(processes.quiet(500, rng), number, "boot"))
-    return judge(runs, question, Circumstances(lost=tuple(lost))).answer == Answer.PROVEN
+    return judge(Account(runs, lost=tuple(lost)), question).answer == Answer.PROVEN
 
 
 def proven_by_lucky_runs(rng: Rng) -> bool:
@@ -442,7 +440,7 @@ def enough(process: processes.Process, rate: float, as_seen: bool, rng: Rng) -> 
     """
     n = 20_000
     first = process(n, rate, rng)
-    further_likely = judge([trials_of(first, 0, "boot")], QUESTION).further_likely
+    further_likely = judge(Account([trials_of(first, 0, "boot")]), QUESTION).further_likely
     if further_likely is None or further_likely[0] != Answer.PROVEN or further_likely[1] > 3_000_000:
         return None
     seen = float(np.mean(first > QUESTION.deadline_ns))

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from rtrun.analysis.account import HOURS, Account
 from rtrun.analysis.constancy import examine_constancy, find_climbs, join_boots
 from rtrun.analysis.dependence import Events, cluster_effect, design_effect, effect_of_few, pool
 from rtrun.analysis.distributions import chi_squared_above, normal_quantile, student_quantile
@@ -27,7 +28,6 @@ from rtrun.analysis.trials import ENOUGH_MISSES, Trials
 from rtrun.analysis.units import Cluster, CountedRun, boots_of, count_alike, sums
 from rtrun.plan.question import NONE_TOLERATED, Bursts, Question, bursts_asked, unlike_share
 
-HOURS = 24  # of a day
 # Lengths of bursts for which a proof says how much longer it would have to measure.
 BURSTS = (20, 50)
 
@@ -135,39 +135,8 @@ class Verdict:
         return None if self.period_ns is None else measurements * self.period_ns / 3.6e12
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Circumstances:
-    """How runs were measured, as far as it bears on their verdict.
-
-    `side_by_side` outputs measure one event each time, as the subscribers of one message do: their values count as one,
-    and `period_ns` is that of one stream divided by their number.
-    `lost` are attempts beside these runs of which nothing is judged, a sentence each. Of the time of an observation,
-    `unseen_share` was not seen, and `hidden_share` because of load.
-    """
-
-    period_ns: float | None = None
-    clock_step_ns: int | None = None
-    emulated: bool = False
-    side_by_side: float = 1.0
-    lost: tuple[str, ...] = ()
-    unseen_share: float = 0.0
-    hidden_share: float = 0.0
-    hours: int | None = None
-    """Of the day, in which these runs were measured; None: that is not known."""
-
-    @property
-    def measurements_per_event(self) -> int:
-        """So many measurements of one event count as one."""
-        return math.ceil(self.side_by_side)
-
-    @property
-    def stream_ns(self) -> float | None:
-        """The period of one stream."""
-        return None if self.period_ns is None else self.period_ns * self.side_by_side
-
-
-def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = Circumstances()) -> Verdict:
-    """Answer a question for runs of one set of parameters.
+def judge(account: Account, question: Question) -> Verdict:
+    """Answer a question by an account of the evidence.
 
     PROVEN: the interval's upper end is below it, and no run shows a change. IF_INDEPENDENT: the same, from counts that
     kept no order. REFUTED: the lower end is above it, after a change that of the later half, too. Else, and with fewer
@@ -181,7 +150,7 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     probability, confidence = question.probability, question.confidence
     if not 0 < probability < 1 or not 0 < confidence < 1:
         raise ValueError("probability and confidence must lie between 0 and 1, both ends excluded")
-    runs = sorted(runs, key=lambda run: run.start_time)
+    runs = sorted(account.runs, key=lambda run: run.start_time)
     late, absent = sum(run.late for run in runs), sum(run.absent for run in runs)
     alike = count_alike(runs)
     n, misses = math.floor(sum(each.n for each in alike)), sum(each.misses for each in alike)
@@ -189,36 +158,30 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
     constancy = examine_constancy(
         joined, probability=probability, confidence=confidence, deadline_ns=question.deadline_ns
     )
-    effect, assumes = _effect(runs, alike, constancy.clusters, question, measured.measurements_per_event)
-    boots_known = len({run.boot for run in runs if run.boot}) or 1
-    boots = len({run.boot for run in runs}) if all(run.boot for run in runs) else None
-    boards = len({run.board for run in runs})
-    names = {run.run or str(index) for index, run in enumerate(runs)}
-    unit: Literal["boot", "run"] = "boot" if boots is not None and boots > 1 else "run"
-    units = boots_known if unit == "boot" else len(names)
-    lower, upper = anytime_interval(misses / effect, n / effect, _shared(confidence, measured))
+    effect, assumes = _effect(runs, alike, constancy.clusters, question, account.measurements_per_event)
+    lower, upper = anytime_interval(misses / effect, n / effect, _shared(confidence, account))
     if unclear := sum(run.unclear for run in runs):
         # What may have met the deadline counts as late for a proof, and as in time for a refutation.
         surely = sum(each.misses - each.share * run.unclear for run, each in zip(runs, alike, strict=True))
-        lower = anytime_lower(surely / effect, n / effect, _shared(confidence, measured))
+        lower = anytime_lower(surely / effect, n / effect, _shared(confidence, account))
         assumes = (*assumes, f"{unclear} values in the same bin of a log as the deadline are late")
     is_constant = constancy.change is None
-    late_share = _late_share(units, question, measured)
-    episodes = _episodes(runs, question, measured)
+    late_share = _late_share(question, account)
+    episodes = _episodes(runs, question, account)
     longest_seen = episodes.most_in_a_row if episodes else 1
-    bursts = bursts_asked(question, measured.stream_ns, longest_seen)
-    per_event = measured.measurements_per_event
+    bursts = bursts_asked(question, account.stream_ns, longest_seen)
+    per_event = account.measurements_per_event
     # Of streams that are late together each has its part of a burst.
     asked = replace(question, bursts=bursts.length * per_event if bursts.length > 1 else 1)
-    lower, upper = lower * (1 - measured.unseen_share), min(1.0, upper + late_share)
-    left = replace(question, probability=question.probability - late_share, confidence=_shared(confidence, measured))
+    lower, upper = lower * (1 - account.unseen_share), min(1.0, upper + late_share)
+    left = replace(question, probability=question.probability - late_share, confidence=_shared(confidence, account))
     covered = longest_burst(misses, n, effect, left) / per_event if left.probability > 0 else 0.0
     covered = covered and max(1.0, covered)
-    refused = _refusal(question, measured)
+    refused = _refusal(question, account)
     answer = Answer.NEEDS_MORE
     if refused:
         answer = Answer.NO_STATEMENT
-    elif boots_known < question.boots:
+    elif account.boots_known < question.boots:
         pass
     elif covered >= bursts.length and is_constant:
         is_ordered = all(run.misses is not None for run in runs)
@@ -242,29 +205,30 @@ def judge(runs: Sequence[Trials], question: Question, measured: Circumstances = 
         upper=upper,
         design_effect=effect,
         n_effective=n / effect,
-        boots=boots,
-        boots_known=boots_known,
-        boards=boards,
+        boots=account.boots,
+        boots_known=account.boots_known,
+        boards=account.boards,
         bursts=bursts,
-        bursts_by_default=bursts_asked(replace(question, bursts=None), measured.stream_ns, longest_seen).length,
+        bursts_by_default=bursts_asked(replace(question, bursts=None), account.stream_ns, longest_seen).length,
         longest_burst=covered,
         further_for_bursts=_further_for_bursts(misses, n, effect, question, per_event) if is_proven else (),
         further=further,
         further_chance=chance_of_no_miss(misses, n, effect, further or 0),
         further_likely=likely and (Answer.PROVEN if likely[0] else Answer.REFUTED, likely[1]),
-        period_ns=measured.period_ns,
+        period_ns=account.period_ns,
         assumes=assumes,
-        runs=len(names),
-        lost=measured.lost,
-        unit=unit,
-        units_missing=_units_missing(units, question, measured),
-        unseen_share=measured.unseen_share,
-        hidden_share=measured.hidden_share,
-        unlike=_unlike(len(names), boots, boards, measured, question),
+        runs=account.measured,
+        lost=account.lost,
+        unit=account.unit,
+        units_missing=_units_missing(question, account),
+        unseen_share=account.unseen_share,
+        hidden_share=account.hidden_share,
+        unlike=_unlike(account, question),
         climbs=find_climbs(joined, question.deadline_ns),
         episodes=episodes,
         change=constancy.change,
         refused=refused,
+        startup=account.startup,
     )
 
 
@@ -277,49 +241,47 @@ def _later_refutes(alike: Sequence[CountedRun], effect: float, probability: floa
     return anytime_lower(misses / effect, n / effect, confidence) > probability
 
 
-def _unlike(
-    runs: int, boots: int | None, boards: int, measured: Circumstances, question: Question
-) -> tuple[Unlike, ...]:
+def _unlike(account: Account, question: Question) -> tuple[Unlike, ...]:
     """What may be otherwise than all that was measured; runs of one boot, or of boots that are not known, among it."""
-    if not runs:
+    if not account.measured:
         return ()
-    units: list[tuple[Literal["run", "boot", "board"], int]] = [("board", boards)]
-    if boots is not None:
-        units.insert(0, ("boot", boots))
-    if boots is None or boots == 1:
-        units.insert(0, ("run", runs))
+    units: list[tuple[Literal["run", "boot", "board"], int]] = [("board", account.boards)]
+    if account.boots is not None:
+        units.insert(0, ("boot", account.boots))
+    if account.boots is None or account.boots == 1:
+        units.insert(0, ("run", account.measured))
     found = [Unlike(unit=unit, measured=n, share=unlike_share(n, question.confidence)) for unit, n in units]
-    if measured.hours is not None:
-        found.append(Unlike(unit="hour", measured=measured.hours, share=1 - measured.hours / HOURS))
+    if account.hours is not None:
+        found.append(Unlike(unit="hour", measured=account.hours, share=1 - account.hours / HOURS))
     return tuple(found)
 
 
-def _shared(confidence: float, measured: Circumstances) -> float:
+def _shared(confidence: float, account: Account) -> float:
     """The confidence of each of two bounds that hold together: of what was measured, and of units that were lost."""
-    return (1 + confidence) / 2 if measured.lost else confidence
+    return (1 + confidence) / 2 if account.lost else confidence
 
 
-def _late_share(units: int, question: Question, measured: Circumstances) -> float:
+def _late_share(question: Question, account: Account) -> float:
     """The share of all units that may be like those lost, or was hidden by load: late throughout, for all one knows."""
-    lost = len(measured.lost)
-    of_units = anytime_upper(lost, units + lost, _shared(question.confidence, measured)) if lost else 0.0
-    return min(1.0, of_units + measured.hidden_share)
+    lost = len(account.lost)
+    of_units = anytime_upper(lost, account.units + lost, _shared(question.confidence, account)) if lost else 0.0
+    return min(1.0, of_units + account.hidden_share)
 
 
-def _units_missing(units: int, question: Question, measured: Circumstances) -> int | None:
+def _units_missing(question: Question, account: Account) -> int | None:
     """How many more units that end well leave half of the probability to what was measured."""
-    lost = len(measured.lost)
-    most = question.probability / 2 - measured.hidden_share
+    lost = len(account.lost)
+    most = question.probability / 2 - account.hidden_share
     if not lost:
         return 0
     if most <= 0:
         return None
-    confidence = _shared(question.confidence, measured)
-    total = smallest(lambda clean: anytime_upper(lost, clean + lost, confidence) < most, max(1, units))
-    return None if total is None else total - units
+    confidence = _shared(question.confidence, account)
+    total = smallest(lambda clean: anytime_upper(lost, clean + lost, confidence) < most, max(1, account.units))
+    return None if total is None else total - account.units
 
 
-def _episodes(runs: Sequence[Trials], question: Question, measured: Circumstances) -> Episodes | None:
+def _episodes(runs: Sequence[Trials], question: Question, account: Account) -> Episodes | None:
     """The episodes of misses, which are judged as misses are: with the dependence that is between them.
 
     There is no bound where attempts were lost or load hid a part of the time, which may hold any number of them.
@@ -332,27 +294,27 @@ def _episodes(runs: Sequence[Trials], question: Question, measured: Circumstance
         for run, each in zip(runs, found, strict=True)
     ]
     bound = None
-    if measured.stream_ns is not None and not measured.lost and not measured.hidden_share:
+    if account.stream_ns is not None and not account.lost and not account.hidden_share:
         alike = count_alike(begun)
         single = replace(question, tolerance=NONE_TOLERATED)
-        effect, _ = _effect(begun, alike, (), single, measured.measurements_per_event)
+        effect, _ = _effect(begun, alike, (), single, account.measurements_per_event)
         n, count = sum(each.n for each in alike), sum(each.misses for each in alike)
-        bound = per_hour(anytime_upper(count / effect, n / effect, question.confidence), measured.stream_ns)
+        bound = per_hour(anytime_upper(count / effect, n / effect, question.confidence), account.stream_ns)
     longest_loops = max(each.longest_loops for each in found)
     return Episodes(
         seen=sum(each.begun.count for each in found),
         longest_misses=max(each.longest_misses for each in found),
         most_in_a_row=max(each.most_in_a_row for each in found),
-        longest_ns=None if measured.stream_ns is None else longest_loops * measured.stream_ns,
+        longest_ns=None if account.stream_ns is None else longest_loops * account.stream_ns,
         per_hour_at_most=bound,
     )
 
 
-def _refusal(question: Question, measured: Circumstances) -> str | None:
+def _refusal(question: Question, account: Account) -> str | None:
     """Why numbers are no real-time statement, None where they are one."""
-    if measured.emulated:
+    if account.emulated:
         return "measured on an emulated board"
-    step_ns = measured.clock_step_ns
+    step_ns = account.clock_step_ns
     if step_ns is not None and question.deadline_ns < 2 * step_ns:
         return f"the deadline of {question.deadline_ns} ns is finer than two steps of the clock ({step_ns} ns each)"
     return None

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from datetime import datetime, timedelta
 
-from rtrun.analysis.deadline import HOURS
+from rtrun.analysis.account import HOURS
 from rtrun.results.record import RunRecord, moment
 
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from rtrun.analysis.account import Account
 from rtrun.analysis.blocks import Blocks, add_outputs
 from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
-from rtrun.analysis.trials import Trials
 from rtrun.judgement.digest import JudgedDigest
 from rtrun.kinds.known import ELSE_IN_2014
 from rtrun.plan.observation import stream_words
@@ -50,7 +50,7 @@ class Group:
     parameters: dict[str, Value]
     question: Question | None
     digests: tuple[JudgedDigest, ...]
-    trials: tuple[Trials, ...]
+    account: Account | None
     verdict: Verdict | None
     undecidable: str | None
     bounds: tuple[Bound, ...]

@@ -10,16 +10,15 @@ from typing import Any
 
 from rtfiles.errors import UsageError
 from rtfiles.output import showing_progress
-from rtrun.analysis.deadline import Circumstances, Verdict, judge
+from rtrun.analysis.account import Account
+from rtrun.analysis.deadline import Verdict, judge
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram
 from rtrun.analysis.startup import StartUp, find_startup, left_out
-from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
-from rtrun.evidence.attempts import LostAttempt, kind_of, lost_attempts
+from rtrun.evidence.accounts import clock_step_ns, take_account
+from rtrun.evidence.attempts import LostAttempt, lost_attempts
 from rtrun.evidence.duplicates import copies_among
-from rtrun.evidence.hours import hours_measured
-from rtrun.evidence.time_seen import time_seen
 from rtrun.judgement.digest import Digest, JudgedDigest, digest
 from rtrun.judgement.groups import Group, key_of, scenario, slowest
 from rtrun.kinds.known import MAIN_2014
@@ -28,7 +27,7 @@ from rtrun.plan.suites import ALLOCATIONS, judged, measures, telling_parameters
 from rtrun.results import reading
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
-from rtrun.results.series import read_file
+from rtrun.results.series import Header, read_file
 from rtrun.targets.inspection.platform import Platform
 
 # The digests of a run directory, by the loops that are left out of their trials as start-up.
@@ -294,7 +293,7 @@ def _pooled(groups: Sequence[Group], basis: _Basis) -> Iterator[Group]:
 def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Group:
     alike, startup = _without_startup(alike, basis)
     first, records = alike[0].header, basis.records
-    trials = tuple(_located(one.trials, one.run, records.get(one.run)) for one in alike if one.trials is not None)
+    account = _account(alike, basis, startup)
     undecidable = next((one.undecidable for one in alike if one.undecidable), None)
     asked = alike[0].question
     worst_cases, no_bound = _bounds(alike, asked) if bounds and asked else ((), None)
@@ -306,8 +305,8 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
         parameters=telling_parameters(first.parameters),
         question=asked,
         digests=tuple(alike),
-        trials=trials,
-        verdict=_verdict(alike, trials, asked, basis, startup) if trials and asked and undecidable is None else None,
+        account=account,
+        verdict=_verdict(account, first, asked) if account and asked and undecidable is None else None,
         undecidable=undecidable,
         bounds=worst_cases,
         no_bound=no_bound,
@@ -339,49 +338,18 @@ def _read_again(one: JudgedDigest, startup_loops: int, basis: _Basis) -> JudgedD
     raise UsageError(f"{one.run}: {one.header.output} was changed while it was read: try again")
 
 
-def _verdict(
-    alike: Sequence[JudgedDigest],
-    trials: Sequence[Trials],
-    question: Question,
-    basis: _Basis,
-    startup: StartUp | None,
-) -> Verdict:
-    first = alike[0].header
-    kinds = {kind_of(one.header.target, one.header.suite, one.header.parameters) for one in alike}
-    records = [basis.records[run] for run in dict.fromkeys(one.run for one in alike) if run in basis.records]
-    seen = time_seen(records)
-    periods = [one.header.period_ns for one in alike if one.header.period_ns]
-    # Subscribers of one run receive the same messages; threads of cyclictest wait for the same interrupts.
-    side_by_side = len(alike) / len({one.run for one in alike})
-    verdict = judge(
-        trials,
-        replace(question, of=first.of, tolerance=question.tolerance if first.main else NONE_TOLERATED),
-        Circumstances(
-            period_ns=sum(periods) / len(periods) / side_by_side if periods else None,
-            clock_step_ns=_clock_step_ns(alike),
-            emulated=first.platform is Platform.EMULATED,
-            side_by_side=side_by_side,
-            lost=tuple(str(one) for one in basis.lost if one.may_be_of(kinds)),
-            unseen_share=seen.unseen_share,
-            hidden_share=seen.hidden_share,
-            hours=hours_measured(records),
-        ),
-    )
+def _account(alike: Sequence[JudgedDigest], basis: _Basis, startup: StartUp | None) -> Account | None:
+    outputs = [(one.header, one.trials) for one in alike if one.trials is not None]
+    if not outputs:
+        return None
     firsts = [one.startup for one in alike if one.startup is not None]
-    return replace(verdict, startup=left_out(startup, firsts)) if startup else verdict
+    account = take_account(outputs, basis.records, basis.lost)
+    return replace(account, startup=left_out(startup, firsts)) if startup else account
 
 
-def _clock_step_ns(alike: Sequence[Digest]) -> int | None:
-    """The widest step of a clock that any was measured with, None where none is known."""
-    return max((one.header.clock_step_ns for one in alike if one.header.clock_step_ns), default=None)
-
-
-def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:
-    """The trials with the run, the boot, the board and the time that they are of."""
-    if record is None:
-        return replace(trials, run=run)
-    boot = str(record.target.boot_id or "")
-    return replace(trials, run=run, boot=boot, board=record.target.name, start_time=record.start_time)
+def _verdict(account: Account, first: Header, question: Question) -> Verdict:
+    tolerance = question.tolerance if first.main else NONE_TOLERATED
+    return judge(account, replace(question, of=first.of, tolerance=tolerance))
 
 
 def _bounds(alike: Sequence[JudgedDigest], question: Question) -> tuple[tuple[Bound, ...], str | None]:
@@ -394,7 +362,7 @@ def _bounds(alike: Sequence[JudgedDigest], question: Question) -> tuple[tuple[Bo
         [tail for tail in tails if tail is not None],
         probability=question.probability,
         confidence=question.confidence,
-        quantum_ns=_clock_step_ns(alike) or 1,
+        quantum_ns=clock_step_ns([one.header for one in alike]) or 1,
     ), None
 
 

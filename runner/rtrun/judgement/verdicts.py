@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from rtfiles.output import counted, listed, printable
 from rtfiles.quantities import duration, grouped, percent, time
-from rtrun.analysis.deadline import HOURS, Answer, Unlike, Verdict
+from rtrun.analysis.account import HOURS
+from rtrun.analysis.deadline import Answer, Unlike, Verdict
 from rtrun.analysis.trends import Climb
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group

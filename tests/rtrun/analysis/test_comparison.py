@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from rtrun.analysis.account import Account
 from rtrun.analysis.blocks import Blocks, add_outputs, cut, split_randomly
 from rtrun.analysis.comparison import ComparisonAnswer, compare, correct, ratio_of_misses
 from rtrun.analysis.deadline import judge
@@ -148,7 +149,7 @@ def test_the_ratio_of_misses_is_exact() -> None:
     def verdict(n: int, k: int):
         values = np.full(n, 100)
         values[np.linspace(0, n - 1, k).astype(int)] = 1000
-        return judge([count_misses(values, 500)], Question(deadline_ns=500, probability=0.5))
+        return judge(Account([count_misses(values, 500)]), Question(deadline_ns=500, probability=0.5))
 
     same = ratio_of_misses(verdict(10_000, 20), verdict(10_000, 20))
     assert same.value == 1.0 and same.low < 1 < same.high

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import rank_filter
 
-from rtrun.analysis.deadline import Answer, Circumstances, Verdict, judge
+from rtrun.analysis.account import Account
+from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.histogram import Histogram, from_samples
 from rtrun.analysis.intervals import anytime_interval
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
@@ -18,7 +19,7 @@ DEADLINE = 400_000
 
 def verdict(*runs: Trials, probability: float = 1e-3, bursts: int | None = 1, **measured: Any) -> Verdict:
     question = Question(deadline_ns=DEADLINE, probability=probability, bursts=bursts)
-    return judge(runs, question, Circumstances(**measured))
+    return judge(Account(runs, **measured), question)
 
 
 def with_misses(n: int, *positions: int) -> np.ndarray:
@@ -240,8 +241,10 @@ def test_time_that_load_hid_is_late_for_a_proof_and_in_time_for_a_refutation() -
 def test_boots_that_nobody_knows_are_one() -> None:
     question = Question(deadline_ns=DEADLINE, probability=1e-3, boots=5)
     unknown = [replace(run, boot="") for run in clean_runs(20)]
-    judged = judge(unknown, question)
+    judged = judge(Account(unknown), question)
     assert (judged.answer, judged.boots, judged.boots_missing) == (Answer.NEEDS_MORE, None, 4)
     known = [replace(run, boot=f"{number % 4}") for number, run in enumerate(clean_runs(20))]
-    assert judge([*known, *unknown], question).boots_missing == 1
-    assert judge([replace(run, boot=f"{n % 5}") for n, run in enumerate(known)], question).answer == Answer.PROVEN
+    assert judge(Account([*known, *unknown]), question).boots_missing == 1
+    assert (
+        judge(Account([replace(run, boot=f"{n % 5}") for n, run in enumerate(known)]), question).answer == Answer.PROVEN
+    )

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtrun.analysis.deadline import Answer, Circumstances, Verdict, judge
+from rtrun.analysis.account import Account
+from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.episodes import find_episodes, gap_loops
 from rtrun.analysis.intervals import anytime_upper
 from rtrun.analysis.trials import Trials, count_misses
@@ -28,7 +29,7 @@ def run(n: int, *misses: int, period_ns: float | None = MS, **where: str) -> Tri
 
 def verdict(*runs: Trials, bursts: int | None = None, period_ns: float | None = MS, **measured: Any) -> Verdict:
     question = Question(deadline_ns=DEADLINE, probability=1e-3, bursts=bursts)
-    return judge(runs, question, Circumstances(period_ns=period_ns, **measured))
+    return judge(Account(runs, period_ns=period_ns, **measured), question)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +148,7 @@ def test_many_misses_that_chance_lets_lie_near_are_no_burst():
     late = np.flatnonzero(np.random.default_rng(7).random(40_000) < 0.3)
     trials = replace(count_misses(values(40_000, *late), DEADLINE, period_ns=MS / 10), boot="b")
     question = Question(deadline_ns=DEADLINE, probability=0.5)
-    judged = judge([trials], question, Circumstances(period_ns=MS / 10))
+    judged = judge(Account([trials], period_ns=MS / 10), question)
     assert judged.episodes is not None and judged.episodes.seen < 5 and judged.episodes.longest_misses > 1000
     assert judged.answer == Answer.PROVEN
 
@@ -158,5 +159,5 @@ def test_a_stall_makes_as_many_windows_as_the_default_covers(tolerance):
     trials = count_misses(values(5000, *range(2000, 2010)), DEADLINE, tolerance=of, period_ns=MS)
     question = Question(deadline_ns=DEADLINE, probability=0.5, tolerance=of)
     none = count_misses(values(5000), DEADLINE, tolerance=of, period_ns=MS)
-    judged = judge([replace(none, boot="b")], question, Circumstances(period_ns=MS))
+    judged = judge(Account([replace(none, boot="b")], period_ns=MS), question)
     assert judged.bursts.length == max(1, trials.late)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import Answer, judge
 from rtrun.analysis.further import plan_measurements
 from rtrun.analysis.intervals import anytime_interval
@@ -39,7 +40,7 @@ def test_an_answer_waits_for_its_boots(late):
 
     def answer(boots, wanted):
         runs = [replace(trials, run=f"r{n}", boot=f"b{n}", start_time=str(n)) for n in range(boots)]
-        verdict = judge(runs, Question(probability=1e-3, boots=wanted))
+        verdict = judge(Account(runs), Question(probability=1e-3, boots=wanted))
         return verdict.answer, verdict.boots_missing
 
     certain = Answer.REFUTED if late else Answer.PROVEN

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rtrun.analysis.account import Account
 from rtrun.analysis.constancy import examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.trends import find_climb, levels_ns
@@ -24,7 +25,7 @@ def around(rng: np.random.Generator, middle_us: np.ndarray | float, n: int) -> n
 
 
 def answer(runs: list[Trials]) -> Verdict:
-    return judge(runs, Question(deadline_ns=DEADLINE, probability=1e-3, bursts=1))
+    return judge(Account(runs), Question(deadline_ns=DEADLINE, probability=1e-3, bursts=1))
 
 
 def is_seen(runs: list[Trials]) -> bool:

@@ -6,7 +6,8 @@ import zlib
 import numpy as np
 import pytest
 
-from rtrun.analysis.deadline import Answer, Circumstances, judge
+from rtrun.analysis.account import Account
+from rtrun.analysis.deadline import Answer, judge
 from rtrun.analysis.standing import Standing
 from rtrun.analysis.trials import count_misses
 from rtrun.execution.goal import TRIES, Findings, rounds, runs_left, standings_of
@@ -67,7 +68,7 @@ class Board:
             if names:
                 question = Question(probability=1e-3, boots=self.wanted.boots)
                 period_ns = group.period_ns if self.tells_period else None
-                verdict = judge(trials, question, Circumstances(emulated=self.emulated, period_ns=period_ns))
+                verdict = judge(Account(trials, emulated=self.emulated, period_ns=period_ns), question)
                 standings.append(
                     Standing(
                         label=group.name,
@@ -209,7 +210,7 @@ def test_no_number_of_runs_is_planned_for_a_group_that_changes():
 
     def runs_left_of(values):
         trials = [count_misses(values.astype(np.int64), DEADLINE_NS)]
-        verdict = judge(trials, Question())
+        verdict = judge(Account(trials), Question())
         standing = Standing(label="", runs=(group.name,), verdict=verdict, undecidable="", measured_s=0.0)
         return verdict.change, runs_left(group, standing, NEEDED, 2)
 
@@ -244,7 +245,9 @@ def test_a_group_that_observes_needs_an_answer_of_each_stream_with_a_deadline():
             runs=(f"{stream}-{number}",),
             observed_by=(group.name if number == 1 else f"{group.name}-r{number}",),
             stream=stream,
-            verdict=judge([count_misses(values, DEADLINE_NS)], Question(probability=0.05)) if has_deadline else None,
+            verdict=judge(Account([count_misses(values, DEADLINE_NS)]), Question(probability=0.05))
+            if has_deadline
+            else None,
             undecidable=None,
             measured_s=0.0,
             has_deadline=has_deadline,

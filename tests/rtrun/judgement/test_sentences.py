@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rtrun.analysis.account import Account
 from rtrun.analysis.comparison import Ratio
-from rtrun.analysis.deadline import Circumstances, judge
+from rtrun.analysis.deadline import judge
 from rtrun.analysis.episodes import find_episodes
 from rtrun.analysis.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses
@@ -38,7 +39,7 @@ def test_the_answer_says_what_it_covers_and_for_what_it_already_holds():
 
     def said(measured, question=by_default, period_ns=PERIOD_NS):
         timed = [replace(each, episodes=find_episodes(each.missed_at, each.n, period_ns)) for each in measured]
-        return "; ".join(sentences(judge(timed, question, Circumstances(period_ns=period_ns))))
+        return "; ".join(sentences(judge(Account(timed, period_ns=period_ns), question)))
 
     default = "a stall of 10 ms (bursts of 10 misses, the default)"
     assert f"for misses that come singly it already holds; has to cover {default}; 32 8" in said(trials(4000))
@@ -102,14 +103,14 @@ ADDED = "for the system measure on 5 boots or more"
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_a_sentence(measured, question, said):
-    text = "; ".join(sentences(judge(measured, question, Circumstances(period_ns=PERIOD_NS))))
+    text = "; ".join(sentences(judge(Account(measured, period_ns=PERIOD_NS), question)))
     assert said in text, text
     for nonsense in (" 0 more", "(0 s)", "0 h)", "up to 1 misses"):
         assert nonsense not in text
 
 
 def test_a_change_is_said_before_anything_else():
-    verdict = judge(trials(4000), QUESTION, Circumstances(period_ns=PERIOD_NS))
+    verdict = judge(Account(trials(4000), period_ns=PERIOD_NS), QUESTION)
     change = Change(p_value=1e-9, significant=0.01, text="it rose", missing_loops=60_000)
     assert sentences(replace(verdict, answer="NEEDS MORE", change=change)) == [
         "it did not stay the same: it rose (p = 1e-09)",
@@ -131,7 +132,7 @@ def test_a_change_is_said_before_anything_else():
     ],
 )
 def test_the_table_says_beside_the_answer_what_it_holds_for(measured, said):
-    assert scope_in_short(judge(measured, QUESTION)) == said
+    assert scope_in_short(judge(Account(measured), QUESTION)) == said
 
 
 @pytest.mark.parametrize(
@@ -156,5 +157,7 @@ def test_a_share_of_boots_and_their_number_are_inverse():
 def test_one_miss_more_in_a_burst_changes_little():
     """Bursts are counted, not misses: there is no cliff at 20 misses."""
     question = Question(probability=1e-4)
-    missing = [judge(trials(100_000, *range(50_000, 50_000 + size)), question).further for size in (19, 20, 21)]
+    missing = [
+        judge(Account(trials(100_000, *range(50_000, 50_000 + size))), question).further for size in (19, 20, 21)
+    ]
     assert missing[1] < 1.2 * missing[0] and missing[2] < 1.2 * missing[1]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import Verdict, judge
 from rtrun.analysis.standing import Standing
 from rtrun.analysis.stationarity import Change
@@ -23,7 +24,7 @@ GOAL = Goal(deadline="400us", probability="1e-3", at_most="1h")
 
 def verdict_of(n: int) -> Verdict:
     trials = count_misses(np.full(n, 90_000), 400_000)
-    return judge([trials], Question(probability=1e-3))
+    return judge(Account([trials]), Question(probability=1e-3))
 
 
 def standing_of(verdict: Verdict, label: str = "timer RR") -> Standing:

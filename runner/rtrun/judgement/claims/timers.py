@@ -3,6 +3,7 @@
 import numpy as np
 
 from rtfiles.quantities import time
+from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.intervals import clopper_pearson
 from rtrun.judgement.claims.examination import (
@@ -247,9 +248,9 @@ def _number(group: Group, key: str) -> int:
 def _pooled(study: Study, groups: list[Group]) -> tuple[int, float, float, int, str]:
     """Values above 400 us, the interval of P, n, and the method, over all groups."""
     if study.question.deadline_ns == _DEADLINE_NS and study.question.tolerance == NONE_TOLERATED:
-        trials = [trials for group in groups for trials in group.trials]
-        if trials:
-            verdict = judge(trials, Question(confidence=study.question.confidence))
+        runs = [run for group in groups if group.account for run in group.account.runs]
+        if runs:
+            verdict = judge(Account(runs), Question(confidence=study.question.confidence))
             startups = [group.verdict.startup for group in groups if group.verdict and group.verdict.startup]
             late = sum(startup.late for startup in startups)
             apart = f"; start-ups left out, {late} late in them" if startups else ""

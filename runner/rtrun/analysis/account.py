@@ -1,0 +1,79 @@
+"""The account of the evidence: all that is known of runs alike, and all that is known to be missing, for one deadline.
+
+An answer is given by this and nothing else (`deadline.judge`); `rtrun.evidence` takes it from a folder of runs.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import Literal
+
+from rtrun.analysis.startup import LeftOut
+from rtrun.analysis.trials import Trials
+
+HOURS = 24  # of a day
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """Runs of one set of parameters, how they were measured, and what was attempted beside them.
+
+    `side_by_side` outputs measure one event each time, as the subscribers of one message do: their values count as one,
+    and `period_ns` is that of one stream divided by their number.
+    `lost` are attempts beside these runs of which nothing is judged, a sentence each. Of the time of an observation,
+    `unseen_share` was not seen, and `hidden_share` because of load.
+    """
+
+    runs: Sequence[Trials]
+    _: KW_ONLY
+    period_ns: float | None = None
+    clock_step_ns: int | None = None
+    emulated: bool = False
+    side_by_side: float = 1.0
+    lost: tuple[str, ...] = ()
+    unseen_share: float = 0.0
+    hidden_share: float = 0.0
+    hours: int | None = None
+    """Of the day, in which these runs were measured; None: that is not known."""
+    startup: LeftOut | None = None
+    """What the trials lack: the first loops of each run."""
+
+    @property
+    def measurements_per_event(self) -> int:
+        """So many measurements of one event count as one."""
+        return math.ceil(self.side_by_side)
+
+    @property
+    def stream_ns(self) -> float | None:
+        """The period of one stream."""
+        return None if self.period_ns is None else self.period_ns * self.side_by_side
+
+    @property
+    def boards(self) -> int:
+        """The boards that were measured."""
+        return len({run.board for run in self.runs})
+
+    @property
+    def boots(self) -> int | None:
+        """The boots that were measured; None where one is not known."""
+        return len({run.boot for run in self.runs}) if all(run.boot for run in self.runs) else None
+
+    @property
+    def boots_known(self) -> int:
+        """The boots that are known. All others together are none, or one where none is known."""
+        return len({run.boot for run in self.runs if run.boot}) or 1
+
+    @property
+    def measured(self) -> int:
+        """The runs that were measured, each once, however many outputs it has."""
+        return len({run.run or str(index) for index, run in enumerate(self.runs)})
+
+    @property
+    def unit(self) -> Literal["boot", "run"]:
+        """What attempts count as: boots where there are several, else runs."""
+        return "boot" if self.boots is not None and self.boots > 1 else "run"
+
+    @property
+    def units(self) -> int:
+        """How many of them were measured."""
+        return self.boots_known if self.unit == "boot" else self.measured
