@@ -168,9 +168,10 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     from rtrun.flows.recorder import FlowRecorder
     from rtrun.report.flow_trace import flow_trace
     from rtrun.report.live import LiveView
+    from rtrun.results import run_directory
     from rtrun.results.observed import said_of
     from rtrun.results.record import RunStatus
-    from rtrun.results.run_state import RunLife
+    from rtrun.results.run_state import RunLife, RunState
 
     if args.perfetto is not None:
         atomic.write_named(args.perfetto, b"{}\n")  # better refused now than after the observation
@@ -186,7 +187,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     ):
         print_status("")
         onlooker = Onlooker(on_second=view.show, on_end=seen.append, recorder=recorder, is_attended=True)
-        life = RunLife(lambda _state, _reason: None)
+        life = RunLife(lambda state, _: run_directory.mark_begun(folder) if state is RunState.OBSERVING else None)
         record = run_execution.measure(
             ready, uid, planned.name, planned, folder, life, utc_now, may_be_begun=False, onlooker=onlooker
         )

@@ -19,6 +19,7 @@ from rtrun.plan.trace import WARM_UP
 from rtrun.results.journal import RunAttempts, attempts, is_at_work
 from rtrun.results.reading import Source, target_of
 from rtrun.results.record import RunRecord, RunStatus, is_closed, read_record
+from rtrun.results.run_directory import numbers_begun
 
 _ASIDE = re.compile(r"\.(?:old|incomplete)-[0-9]+$", re.ASCII)
 _CUT_OFF = re.compile(r"\.incomplete-[0-9]+$", re.ASCII)
@@ -113,9 +114,13 @@ def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator
         return
     names = [child.name for child in folder.iterdir() if child.is_dir() and not child.name.startswith(".")]
     names = [name for name in names if not _is_warm_up(name)]
+    begun = numbers_begun(folder)
+    for run, goes_on in begun.items():
+        if not goes_on:
+            yield LostAttempt(run=run, why="begun and never closed")
     known = attempts(folder)
     if known is None:
-        yield from _left_out(map(_plain, names))
+        yield from _left_out([*map(_plain, names), *(f"{run}-" for run in begun)])
         return
     kept = Counter(_plain(name) for name in names if _CUT_OFF.search(name))
     closed = Counter(_plain(name) for name in names if not _CUT_OFF.search(name) and is_closed(folder / name))

@@ -16,6 +16,9 @@ from rtfiles import atomic, ownership
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.results.record import FILE, FileRecord, RunRecord, read_record
 
+# In the folder that keeps a number: something was measured.
+_BEGUN = "begun"
+
 
 def make_results(folder: Path) -> bool:
     """Make the folder for the runs of a campaign, unless it is there. Whether this call made it.
@@ -70,7 +73,7 @@ def numbered(results: Path) -> Iterator[Path]:
             _free_numbers_of_the_dead(results)
             names = (re.match(r"\.?([0-9]{1,9})(?![0-9])", path.name) for path in results.iterdir())
             folder = results / f"{max((int(match[1]) for match in names if match), default=0) + 1:03}"
-            taken = results / f".{folder.name}.taken"
+            taken = _taken(folder)
             taken.mkdir()
             handle = _hold(taken)
     except OSError as error:
@@ -80,7 +83,36 @@ def numbered(results: Path) -> Iterator[Path]:
     finally:
         os.close(handle)
         with contextlib.suppress(OSError):
+            (taken / _BEGUN).unlink(missing_ok=True)
             taken.rmdir()
+
+
+def _taken(folder: Path) -> Path:
+    """The folder that keeps a number while a call fills its run directory."""
+    return folder.with_name(f".{folder.name}.taken")
+
+
+def mark_begun(folder: Path) -> None:
+    """Say that what fills a numbered folder measures now. Raises InfrastructureError where nothing can be written."""
+    try:
+        (_taken(folder) / _BEGUN).touch()
+        atomic.sync_folder(_taken(folder))
+    except OSError as error:
+        raise InfrastructureError(f"{folder.parent}: cannot keep the results: {error.strerror}") from error
+
+
+def numbers_begun(results: Path) -> dict[str, bool]:
+    """The numbers of which something was measured and nothing is closed: whether the call that measures still lives."""
+    marks = sorted(results.glob(f".[0-9]*.taken/{_BEGUN}"))
+    return {mark.parent.name[1:].removesuffix(".taken"): _is_held(mark.parent) for mark in marks}
+
+
+def _is_held(taken: Path) -> bool:
+    try:
+        os.close(_hold(taken))
+    except OSError:
+        return True
+    return False
 
 
 def _hold(taken: Path) -> int:
@@ -95,7 +127,7 @@ def _hold(taken: Path) -> int:
 
 
 def _free_numbers_of_the_dead(results: Path) -> None:
-    """Remove what a killed call has left: the number that it took, and what it was filling."""
+    """Remove what a killed call has left: the number that it took, unless it had begun, and what it was filling."""
     for taken in results.glob(".*.taken"):
         folder = results / taken.name[1:].removesuffix(".taken")
         if not re.fullmatch(r"[0-9]{1,9}", folder.name):

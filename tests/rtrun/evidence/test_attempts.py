@@ -1,6 +1,8 @@
 """Attempts of which nothing is judged count as late, whoever removed them, unless their end had another reason."""
 
+import fcntl
 import json
+import os
 import shutil
 from contextlib import closing
 
@@ -192,3 +194,16 @@ def test_a_topology_that_hung_counts_for_each_of_its_streams(tmp_path, name, cap
     assert main(["verdict", str(tmp_path), *QUESTION, "--json"]) == 0
     lost = {group["runs"][0]: group["verdict"]["lost"] for group in json.loads(capsys.readouterr().out)["groups"]}
     assert {run: len(each) for run, each in lost.items()} == {"01-graph": 1, "01-graph-scan": 1, "00-other": 0}
+
+
+def test_an_observation_that_was_killed_counts_though_it_left_nothing_but_its_number(tmp_path, capsys):
+    for number in (1, 3):
+        write(tmp_path, f"{number:03}-messages", number)
+    taken = tmp_path / ".002.taken"
+    taken.mkdir()
+    (taken / "begun").touch()
+    assert lost_of(tmp_path, capsys) == ["002: begun and never closed"]
+    held = os.open(taken, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    assert lost_of(tmp_path, capsys) == [], "it goes on"
+    os.close(held)

@@ -201,12 +201,14 @@ def test_nobody_gets_the_new_folder_of_another(tmp_path):
     assert sorted(made) == sorted(["quick", *(f"quick-{number}" for number in range(2, 18))][:16])
 
 
-def test_numbers_of_the_dead_are_free_and_those_of_the_living_are_not(tmp_path):
+@pytest.mark.parametrize("has_begun", [False, True])
+def test_numbers_of_the_dead_are_free_unless_they_had_begun_and_those_of_the_living_are_not(tmp_path, has_begun):
     code = (
         "import os, sys\nfrom pathlib import Path\nfrom rtrun.results import run_directory\n"
         "with run_directory.numbered(Path(sys.argv[1])) as folder:\n"
         "    folder.with_name(f'.{folder.name}.partial').mkdir()\n"
         "    folder.with_name(f'.{folder.name}.room').touch()\n"
+        f"    if {has_begun}: run_directory.mark_begun(folder)\n"
         "    print('taken', flush=True)\n    sys.stdin.read()"
     )
     argv, pipe = [sys.executable, "-c", code, str(tmp_path)], subprocess.PIPE
@@ -214,8 +216,14 @@ def test_numbers_of_the_dead_are_free_and_those_of_the_living_are_not(tmp_path):
         assert process.stdout.readline() == "taken\n"
         with run_directory.numbered(tmp_path) as folder:
             assert folder.name == "002"
+        assert run_directory.numbers_begun(tmp_path) == dict.fromkeys(["001"] * has_begun, True)
         process.kill()
+    dead = dict.fromkeys(["001"] * has_begun, False)
+    assert run_directory.numbers_begun(tmp_path) == dead
     with run_directory.numbered(tmp_path) as folder:
-        assert folder.name == "001"
-        assert [path.name for path in tmp_path.iterdir()] == [".001.taken"]
-    assert [*tmp_path.iterdir()] == []
+        assert folder.name == ("002" if has_begun else "001")
+        kept = [*dead, folder.name]
+        run_directory.mark_begun(folder)
+        assert sorted(path.name for path in tmp_path.iterdir()) == [f".{number}.taken" for number in kept]
+        assert run_directory.numbers_begun(tmp_path) == {**dead, folder.name: True}
+    assert [path.name for path in tmp_path.iterdir()] == [f".{number}.taken" for number in dead]
