@@ -64,6 +64,14 @@ def group_of(item: pytest.Item) -> str | None:
     return item.nodeid.partition("::")[0] if is_shared else None
 
 
+def sees_pids_of_the_kernel() -> bool:
+    """Whether pids here are those that the kernel traces: of its first namespace (PROC_PID_INIT_INO)."""
+    try:
+        return str(Path("/proc/1/ns/pid").readlink()) == "pid:[4026531836]"
+    except OSError:
+        return True  # nobody but root may know
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Give builds their time, and put each test into its group where tests run beside one another."""
@@ -71,6 +79,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         is_building = item.path.relative_to(HERE).as_posix().startswith(BUILDING)
         if is_building and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(BUILD_S))
+        if (group_of(item) or "").endswith("trace") and not sees_pids_of_the_kernel():
+            item.add_marker(
+                pytest.mark.skip(reason="a container with pids of its own: the kernel traces those of its host")
+            )
     if not hasattr(config, "workerinput"):
         return
     groups = {item: group_of(item) for item in items}

@@ -639,7 +639,7 @@ ROWS = [
                 partial(processes.starting_up, 10_000, P / 10, memory=memory, times=times),
             ),
             # Eight thousand loops prove it in 75 % of cases where there is no start-up at all.
-            at_least=60.0 if number == 1 else 90.0, quick=20 if memory == 500 else 0, long=200,
+            at_least=60.0 if number == 1 else 80.0, quick=20 if memory == 500 else 0, long=200,
             remedy=(startup, "find_startup", lambda *_: None) if memory == 500 else None,
         )
         for number in (1, 5, 20)

@@ -168,6 +168,10 @@ def examine_constancy(
 
 def find_climbs(boots: Sequence[Boot], deadline_ns: int) -> tuple[Climb, ...]:
     """How the levels of the boots of each board go on, and those of the runs of each boot, as far as there are some."""
+    if not all(run.boot for boot in boots for run in boot.trials):
+        # Runs of an unknown boot are a boot each, as far as one may be.
+        climb = find_climb("run", _by_board(boots), deadline_ns)
+        return () if climb is None else (climb,)
     of_boots = find_climb("boot", _by_board(boots), deadline_ns)
     of_runs = find_climb("run", [runs_of(boot.trials) for boot in boots], deadline_ns)
     return tuple(climb for climb in (of_boots, of_runs) if climb is not None)
@@ -239,5 +243,6 @@ def _alone(boots: Sequence[Boot], probability: float, confidence: float) -> list
         effect = effect_of_few(few, boot.loops) if few is not None else 1.0
         p_value = chance_of_so_many(boot.misses / effect, boot.measured / effect, probability)
         text = f"one boot of {len(boots)} missed {grouped(boot.misses)} of {grouped(boot.measured)} on its own"
-        changes.append(Change(p_value=p_value, significant=1 - confidence, text=text))
+        sign = Change(p_value=p_value, significant=1 - confidence, text=text, what="a boot is worse than what is asked")
+        changes.append(sign)
     return changes

@@ -164,7 +164,10 @@ def judge(account: Account, question: Question) -> Verdict:
         # What may have met the deadline counts as late for a proof, and as in time for a refutation.
         surely = sum(each.misses - each.share * run.unclear for run, each in zip(runs, alike, strict=True))
         lower = anytime_lower(surely / effect, n / effect, _shared(confidence, account))
-        assumes = (*assumes, f"{unclear} values in the same bin of a log as the deadline are late")
+        assumes = (
+            *assumes,
+            f"{unclear} values within a step of the clock, or a bin of a log, of the deadline are late",
+        )
     is_constant = constancy.change is None
     late_share = _late_share(question, account)
     episodes = _episodes(runs, question, account)

@@ -38,7 +38,7 @@ class Order:
         """Where it is higher, of `units` in the plural."""
         if not self.count:
             return f"in {'later' if self.where == 'rising' else 'earlier'} {units}"
-        return f"in the {self.where} {self.count} {units}"
+        return f"in the {self.where} {f'{self.count} {units}' if self.count > 1 else units.removesuffix('s')}"
 
 
 def find_order(strata: Sequence[Floats], *, by_height: bool) -> Order | None:

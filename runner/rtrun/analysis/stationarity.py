@@ -22,13 +22,14 @@ _LEAST_FOR_PARTS = 5 * PARTS
 class Change:
     """A sign that it did not stay the same, seen if ``p_value`` is below ``significant``.
 
-    ``p_value`` is corrected for all tests made in the run. Where a load comes and goes, ``missing_loops`` more would
-    show whether that goes on.
+    ``what`` is that in words. ``p_value`` is corrected for all tests made in the run. Where a load comes and goes,
+    ``missing_loops`` more would show whether that goes on.
     """
 
     p_value: float
     significant: float
     text: str
+    what: str = "it did not stay the same"
     missing_loops: int | None = None
 
 

@@ -29,11 +29,12 @@ _SIGNIFICANT_OF_MISSES = 0.05
 LEAST_UNITS = 5
 # The chance with which a trend of the smallest size that is stated is seen.
 _POWER = 0.9
+_WORSE = ("last", "rising")
 # So much steeper than for a line's slope a climb has to be for ranks: simulated for 5 to 40 units in 1 to 6 strata.
 _OF_RANKS, _OF_FEW_RANKS, _MANY = 1.25, 1.75, 8
-# A level is exceeded so often in a unit of the lower quartile of lengths, or, where values higher up are not known of
-# all, by less; never by fewer than the last in any.
-_EXCEEDED = (20, 10, 5)
+# A level is exceeded so often in a unit of the lower quartile of lengths, or by less where more units have it then. Of
+# many, single misses are a small part.
+_EXCEEDED = (100, 20, 10, 5)
 _LEAST_EXCEEDED = 5
 
 Unit = Sequence[Trials]
@@ -71,13 +72,15 @@ def changes_between(strata: Sequence[Sequence[Unit]], name: str, *, of_heights: 
     if order := find_order([_miss_rates(units) for units in strata], by_height=True):
         text = f"misses come more often {order.words(name)}"
         yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_MISSES, text=text)
-    if of_heights and (order := find_order(levels_ns(strata), by_height=False)):
+    order = find_order(levels_ns(strata), by_height=False) if of_heights else None
+    # Heights that fall prove no less.
+    if order is not None and order.where in _WORSE:
         text = f"high values are higher {order.words(name)}"
         yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_LEVELS, text=text)
 
 
 def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Change]:
-    """Yield the signs that runs, laid over one another, are worse in one part than in others: a leak, a start-up."""
+    """Yield the signs that runs, laid over one another, are worse at the end than before, as a leak makes them."""
     runs = [run for run in runs if all(one.n >= PIECES for one in run)]
     of_misses = [sum(_in_pieces(one.missed_at, one.n) for one in run) for run in runs]
     of_high = [sum(_in_pieces(one.high_at, one.n) for one in run) for run in runs] if of_heights else []
@@ -85,7 +88,9 @@ def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Cha
         (of_misses, "misses come more often", SIGNIFICANT_OF_MISSES),
         (of_high, "high values come more often", SIGNIFICANT),
     ):
-        if counts and (order := find_common_order(np.array(counts, np.float64))):
+        order = find_common_order(np.array(counts, np.float64)) if counts else None
+        # What each run has at its start fades: longer runs have less of it.
+        if order is not None and order.where in _WORSE:
             text = f"{events} {order.words('pieces')} of each run, cut into {PIECES}"
             yield Change(p_value=order.p_value, significant=significant, text=text)
 
@@ -110,12 +115,13 @@ def levels_ns(strata: Sequence[Sequence[Unit]]) -> list[Floats]:
     """The own level of each unit in ns, of each stratum those that have one; empty where most have none."""
     every = [unit for units in strata for unit in units]
     usual = float(np.quantile([_loops(unit) for unit in every], 0.25)) if every else 0.0
+    best: list[Floats] = []
     for exceeded in _EXCEEDED if usual else ():
         found = [[_level_ns(unit, exceeded / usual) for unit in units] for units in strata]
         known = [np.array([level for level in levels if level is not None], np.float64) for levels in found]
-        if 4 * sum(levels.size for levels in known) >= 3 * len(every):
-            return known
-    return []
+        if sum(map(np.size, known)) > sum(map(np.size, best)):
+            best = known
+    return best if 4 * sum(map(np.size, best)) >= 3 * len(every) else []
 
 
 def _level_ns(unit: Unit, share: float) -> int | None:
@@ -166,7 +172,7 @@ def _reached_after(strata: Sequence[Sequence[Unit]], deadline_ns: int) -> float 
         for units in strata
     ]
     order, slope = find_order(highest, by_height=False), _slope(highest)
-    if order is None or order.p_value >= _SIGNIFICANT_OF_MISSES or order.where not in ("rising", "last") or slope <= 0:
+    if order is None or order.p_value >= _SIGNIFICANT_OF_MISSES or order.where not in _WORSE or slope <= 0:
         return None
     last = max(float(values.mean() + slope * _places(values.size)[-1]) for values in highest)
     after = (deadline_ns - last) / slope

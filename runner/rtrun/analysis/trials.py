@@ -31,9 +31,9 @@ class Trials:
     int64 (k,), of many only every ``stride``-th. ``level`` holds where the run passed a lower level often enough (about
     200 times) to show whether its high values come in bursts; ``high_at`` and ``high_ns`` are the places and the
     heights of these, int64 (h,). ``worst_ns`` is the highest value seen. ``unclear`` of the late ones lie in the bin of
-    a histogram that holds the deadline, and may have met it. ``episodes`` are those of misses near one another; None
-    where no order was kept. ``run``, ``boot``, ``board`` and ``start_time`` say where
-    it belongs; "" where that is not known.
+    a histogram that holds the deadline, or within a step of the clock below it, and may have met it. ``episodes`` are
+    those of misses near one another; None where no order was kept. ``run``, ``boot``, ``board`` and ``start_time`` say
+    where it belongs; "" where that is not known.
     """
 
     n: int
@@ -117,25 +117,29 @@ def count_misses(
     absent: Int64s | None = None,
     tolerance: Tolerance = NONE_TOLERATED,
     period_ns: float | None = None,
+    step_ns: int = 1,
 ) -> Trials:
     """Count what missed the deadline in one run's int64 samples, shape (n,) in loop order.
 
-    A value above the deadline is late, one that equals it is not.
+    A value above the deadline is late, one that equals it is not. What steps by `step_ns` may have been as much more,
+    less 1 ns, than it reads: it is late where it may be, and unclear where it may not.
     `absent` gives the ascending loop positions of what was not fired or went missing; the samples fill the others.
     With a `tolerance` the trials are windows (`windowed`); the highest value seen is still that of a loop.
     `period_ns` says how far apart loops are, None: nobody knows.
     """
     if absent is None:
         absent = np.empty(0, np.int64)
+    surely_ns = deadline_ns - (step_ns - 1)
     if tolerance != NONE_TOLERATED:
-        decides, never = windowed(values_ns, absent, deadline_ns, tolerance)
+        decides, never = windowed(values_ns, absent, surely_ns, tolerance)
         return replace(
-            count_misses(decides, deadline_ns, never, period_ns=period_ns),
+            count_misses(decides, deadline_ns, never, period_ns=period_ns, step_ns=step_ns),
             worst_ns=int(values_ns.max()) if values_ns.size else None,
         )
     loops = values_ns.size + absent.size
-    misses = np.flatnonzero(values_ns > deadline_ns).astype(np.int64)
+    misses = np.flatnonzero(values_ns > surely_ns).astype(np.int64)
     late = misses.size
+    unclear = late - int(np.count_nonzero(values_ns > deadline_ns)) if step_ns > 1 else 0
     if absent.size:
         misses = np.sort(np.concatenate((loop_positions(misses, absent), absent)))
     level, high = None, _NONE
@@ -160,6 +164,7 @@ def count_misses(
         stride=stride,
         episodes=find_episodes(misses, loops, period_ns),
         worst_ns=int(values_ns.max()) if values_ns.size else None,
+        unclear=unclear,
     )
 
 

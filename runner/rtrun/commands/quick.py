@@ -166,7 +166,7 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
         verdict = group.verdict
         why = group.undecidable
         if verdict is not None:
-            why = verdict.refused or (f"it did not stay the same: {verdict.change.text}" if verdict.change else None)
+            why = verdict.refused or (f"{verdict.change.what}: {verdict.change.text}" if verdict.change else None)
         notes += [f"{group.label}: no P: {why}"] if why else []
         if verdict is not None and (startup := startup_in_words(verdict)):
             notes.append(f"{group.label}: {startup}")

@@ -133,7 +133,8 @@ def digest(series: Series, question: Question | None, startup_loops: int = 0) ->
         steady_ns, absent = values_ns, series.absent
         if startup_loops:
             startup, steady_ns, absent = split(values_ns, absent, question.deadline_ns, startup_loops)
-        trials = count_misses(steady_ns, question.deadline_ns, absent, tolerance, header.period_ns)
+        step_ns = header.clock_step_ns or 1
+        trials = count_misses(steady_ns, question.deadline_ns, absent, tolerance, header.period_ns, step_ns)
     return JudgedDigest(
         header=header,
         figures=figures,

@@ -7,7 +7,7 @@ from rtfiles.output import counted, listed, printable
 from rtfiles.quantities import duration, grouped, percent, time
 from rtrun.analysis.account import HOURS
 from rtrun.analysis.deadline import Answer, Unlike, Verdict
-from rtrun.analysis.trends import Climb
+from rtrun.analysis.trends import LEAST_UNITS, Climb
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
 from rtrun.plan.question import NONE_TOLERATED, STALL_NS
@@ -78,7 +78,7 @@ def sentences(verdict: Verdict) -> list[str]:
     if verdict.refused:
         parts.insert(0, verdict.refused)
     elif verdict.change is not None:
-        change = f"it did not stay the same: {verdict.change.text} ({_chance(verdict.change.p_value)})"
+        change = f"{verdict.change.what}: {verdict.change.text} ({_chance(verdict.change.p_value)})"
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), change)
     if hidden := hidden_in_words(verdict):
         parts.insert(0 if verdict.answer == Answer.NEEDS_MORE else len(parts), hidden)
@@ -229,6 +229,8 @@ def _reached_in_words(climb: Climb) -> str:
 
 def _unseen_in_words(climb: Climb) -> str:
     """The climb that so few units would not have shown."""
+    if climb.smallest_ns is None and climb.units >= LEAST_UNITS:
+        return f"{climb.unit}s of such lengths, or so alike, do not show how small a climb they would have shown"
     if climb.smallest_ns is None:
         return f"{counted(climb.units, climb.unit)} {'are' if climb.units > 1 else 'is'} too few to show a climb"
     smallest = time(float(f"{climb.smallest_ns:.2g}"))
@@ -240,7 +242,7 @@ def _boots(verdict: Verdict) -> list[str]:
         few = f"; for boards of this kind measure on {ENOUGH_BOOTS} or more"
         return [f"holds for the {verdict.boards} boards together{few if verdict.boards < ENOUGH_BOOTS else ''}"]
     if verdict.boots is None or verdict.unlike_share is None:
-        return []
+        return ["the boot of some runs is not known: if all are of one boot, it holds for that one"]
     if verdict.boots == 1:
         return [f"holds for the boot that was measured; for the system measure on {ENOUGH_BOOTS} boots or more"]
     share = f"boots of another kind, of which none was measured, may be {percent(verdict.unlike_share)} of all"

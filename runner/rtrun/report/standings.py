@@ -101,7 +101,7 @@ def _remaining(left_s: float | None, verdict: Verdict) -> str:
 
 
 def _changed(change: Change) -> str:
-    return f"no answer: it did not stay the same: {change.text}"
+    return f"no answer: {change.what}: {change.text}"
 
 
 def bound(verdict: Verdict) -> str:

@@ -4,7 +4,7 @@ The start-up values are set apart here, so that they stand apart in all that is 
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,6 +32,9 @@ NOTE_2014 = (
     "measured counts from before the timer is armed; measured_2014 and difference_2014 count from after it, as the"
     " programs of 2014 and the logs do: a few microseconds less."
 )
+
+
+_US = 1000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -254,8 +257,12 @@ def series_of_histogram(imported: "Imported", of: Measure | None = None) -> Hist
 def series_of_imported_samples(imported: "ImportedSamples", of: Measure | None = None) -> SampleSeries:
     """The series in samples of another program. Raises UsageError for a question of its jitter."""
     values_ns = imported.values_ns
+    header = _header_of(imported, of)
+    # cyclictest prints whole microseconds, the rest is cut off, unless -N asks for ns.
+    if values_ns.size and not np.any(values_ns % _US):
+        header = replace(header, clock_step_ns=max(_US, header.clock_step_ns or 1))
     return SampleSeries(
-        header=_header_of(imported, of),
+        header=header,
         values_ns=np.ascontiguousarray(values_ns),
         index=np.arange(values_ns.size, dtype=np.int64),
         absent=np.empty(0, dtype=np.int64),
