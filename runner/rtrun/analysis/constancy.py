@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtfiles.quantities import grouped
-from rtrun.analysis.dependence import effect_of_few
+from rtrun.analysis.dependence import design_effect, effect_of_few, pool
 from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.intervals import chance_of_so_many
 from rtrun.analysis.stationarity import (
@@ -233,14 +233,23 @@ def _turns(boot: Boot, visits: Visits) -> list[tuple[int, int]]:
     return [(int(length), round(stride * count)) for length, count in zip(lengths, counts, strict=True)]
 
 
+def _effect_alone(boot: Boot) -> float:
+    """The design effect of the misses of one boot; 1 where a log kept no order."""
+    located = [run.misses for run in boot.trials if run.misses is not None]
+    if boot.missed_at is None or boot.missed_at.size < 2:
+        return 1.0
+    if boot.missed_at.size < ENOUGH_MISSES:
+        return effect_of_few(boot.missed_at, boot.loops)
+    return design_effect(pool(located))
+
+
 def _alone(boots: Sequence[Boot], probability: float, confidence: float) -> list[Change]:
     """Boots that miss oftener than `probability` on their own: their average with others is no answer."""
     if len(boots) < 2:
         return []
     changes = []
     for boot in boots:
-        few = boot.missed_at if boot.missed_at is not None and 1 < boot.missed_at.size < ENOUGH_MISSES else None
-        effect = effect_of_few(few, boot.loops) if few is not None else 1.0
+        effect = _effect_alone(boot)
         p_value = chance_of_so_many(boot.misses / effect, boot.measured / effect, probability)
         text = f"one boot of {len(boots)} missed {grouped(boot.misses)} of {grouped(boot.measured)} on its own"
         sign = Change(p_value=p_value, significant=1 - confidence, text=text, what="a boot is worse than what is asked")

@@ -10,7 +10,7 @@ from rtrun.analysis.constancy import examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.trends import find_climb, levels_ns
 from rtrun.analysis.trials import Trials, count_misses
-from rtrun.plan.question import Question
+from rtrun.plan.question import Question, read_tolerance
 
 DEADLINE = 400_000
 
@@ -83,6 +83,21 @@ def test_the_smallest_climb_is_seen_nine_times_in_ten() -> None:
     seen = sum(is_seen(boots(stated_us)) for _ in range(40))
     assert seen >= 30, f"{seen} of 40 climbs of {stated_us:.2f} us a boot"
     assert sum(is_seen(boots(stated_us / 3)) for _ in range(40)) < 20
+
+
+def test_bursts_of_a_boot_are_no_boot_that_is_too_bad() -> None:
+    """Windows that overlap hold the same misses: a hundred of them are late for the misses of one."""
+    rng = np.random.default_rng(6)
+    tolerance = read_tolerance("3 of 100")
+    question = Question(deadline_ns=DEADLINE, probability=0.02, bursts=1, tolerance=tolerance)
+    for _ in range(5):
+        values = [np.where(rng.random(20_000) < 0.0102, 500_000, 100_000) for _ in range(4)]
+        runs = [
+            replace(count_misses(each, DEADLINE, tolerance=tolerance), run=str(k), boot=str(k), start_time=str(k))
+            for k, each in enumerate(values)
+        ]
+        change = judge(Account(runs), question).change
+        assert change is None or "on its own" not in change.text
 
 
 def test_few_boots_show_no_climb() -> None:
