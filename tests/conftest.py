@@ -72,6 +72,13 @@ def sees_pids_of_the_kernel() -> bool:
         return True  # nobody but root may know
 
 
+@pytest.fixture
+def pids_of_the_kernel() -> None:
+    """Skips where pids are those of a container."""
+    if not sees_pids_of_the_kernel():
+        pytest.skip("a container with pids of its own")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Give builds their time, and put each test into its group where tests run beside one another."""

@@ -18,7 +18,7 @@ case $1 in */instances/*) ;; *) exit 0 ;; esac
 
 
 @pytest.fixture
-def watch(tmp_path):
+def watch(tmp_path, pids_of_the_kernel):
     """Calls watch_probes.sh with lines; returns what it prints, and what it told the kernel."""
     tracing = tmp_path / "tracing"
     (tracing / "instances").mkdir(parents=True)

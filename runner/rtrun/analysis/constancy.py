@@ -73,10 +73,12 @@ class Boot:
 class Constancy:
     """The strongest sign that the process did not stay the same, None where there is none beyond chance.
 
+    `in_time`: one of the signs is from earlier to later.
     `clusters` are (loops, misses) of each turn of a load that comes and goes, where there is one.
     """
 
     change: Change | None
+    in_time: bool = False
     clusters: tuple[tuple[int, int], ...] = ()
 
 
@@ -163,7 +165,7 @@ def examine_constancy(
     )
     seen = [change for family in families if (change := _strongest(family)) is not None]
     strongest = min(seen, key=lambda change: change.p_value / change.significant, default=None)
-    return Constancy(change=strongest, clusters=tuple(clusters))
+    return Constancy(change=strongest, in_time=any(change.is_in_time for change in seen), clusters=tuple(clusters))
 
 
 def find_climbs(boots: Sequence[Boot], deadline_ns: int) -> tuple[Climb, ...]:

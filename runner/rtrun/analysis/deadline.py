@@ -189,7 +189,9 @@ def judge(account: Account, question: Question) -> Verdict:
     elif covered >= bursts.length and is_constant:
         is_ordered = all(run.misses is not None for run in runs)
         answer = Answer.PROVEN if is_ordered else Answer.IF_INDEPENDENT
-    elif n and lower > probability and (is_constant or _later_refutes(alike, effect, probability, confidence)):
+    elif (
+        n and lower > probability and (not constancy.in_time or _later_refutes(alike, effect, probability, confidence))
+    ):
         answer = Answer.REFUTED
     is_whole = not late_share
     further = missing_without_miss(misses, n, effect, asked) if is_whole else None

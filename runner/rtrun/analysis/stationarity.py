@@ -18,6 +18,9 @@ PIECES = 64
 _LEAST_FOR_PARTS = 5 * PARTS
 
 
+CHANGED = "it did not stay the same"
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
     """A sign that it did not stay the same, seen if ``p_value`` is below ``significant``.
@@ -29,8 +32,13 @@ class Change:
     p_value: float
     significant: float
     text: str
-    what: str = "it did not stay the same"
+    what: str = CHANGED
     missing_loops: int | None = None
+
+    @property
+    def is_in_time(self) -> bool:
+        """Whether it is one from earlier to later."""
+        return self.what == CHANGED
 
 
 def test_of_parts(positions: Int64s, loops: int) -> tuple[float, Int64s]:

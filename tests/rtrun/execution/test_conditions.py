@@ -72,7 +72,10 @@ def test_a_load_runs_with_the_suite_and_ends_with_it(target, tmp_path, wishes):
     assert found["in_effect"]["loads"]["stress"] >= found["requested"]["loads"]["stress"]
     assert found["in_effect"]["policy"] == ["OTHER"] and found["in_effect"]["observations"] >= 2
     assert found["in_effect"]["busy_percent"] > 60
-    assert {"name": "migration/0", "policy": "FIFO", "priority": 99} in found["in_effect"]["rivals"]
+    second = Path("/proc/2/comm")
+    # A container with pids of its own sees no threads of the kernel.
+    if second.exists() and second.read_text() == "kthreadd\n":
+        assert {"name": "migration/0", "policy": "FIFO", "priority": 99} in found["in_effect"]["rivals"]
     assert {"stress.stdout", "sampler.stdout"} <= set(found["files"])
     assert not list(Path(target.work_dir, "runs").rglob("*.pid")), "nothing stays"
     assert not [stat for stat in Path("/proc").glob("[0-9]*/environ") if runs_in(stat, target)]

@@ -206,7 +206,7 @@ def test_what_is_left_falls_from_round_to_round():
 
 def test_no_number_of_runs_is_planned_for_a_group_that_changes():
     (group,) = groups_of(1000)
-    noise = np.random.default_rng(1).normal(100_000, 10_000, 20_000)
+    noise = np.random.default_rng(1).normal(200_000, 10_000, 20_000)
 
     def runs_left_of(values):
         trials = [count_misses(values.astype(np.int64), DEADLINE_NS)]
