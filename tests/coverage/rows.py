@@ -192,7 +192,7 @@ def proven_at_1_khz(make: Callable[[Rng], Int64s], rng: Rng) -> bool:
     return verdict_at_1_khz([make(rng)]).answer == Answer.PROVEN
 
 
-def come_oftener_than_said(lengths: Lengths, rate: float, n: int, looks: int, rng: Rng) -> bool:
+def come_more_often_than_stated(lengths: Lengths, rate: float, n: int, looks: int, rng: Rng) -> bool:
     """Whether at any look after a run of n loops the bound on episodes an hour is below the truth."""
     runs: list[Int64s] = []
     for _ in range(looks):
@@ -202,7 +202,7 @@ def come_oftener_than_said(lengths: Lengths, rate: float, n: int, looks: int, rn
     return False
 
 
-def come_oftener_than_said_of_boots(number: int, sd: float, rng: Rng) -> bool:
+def come_more_often_than_stated_of_boots(number: int, sd: float, rng: Rng) -> bool:
     """The same of boots, whose rates of episodes are lognormal."""
     rate = 1 / 2000
     rates = rate * np.exp(rng.normal(-(sd**2) / 2, sd, number))
@@ -718,8 +718,8 @@ ROWS = [
         Row(
             name=f"episodes of misses, one in {1 / rate:.0f} loops, length {name}, {looks} look"
             f"{'s, each after 10 000 more' * (looks > 1)}",
-            event="more come in an hour than is said at most", at_most=5.0, quick=quick,
-            draw=partial(come_oftener_than_said, lengths, rate, 10_000, looks),
+            event="more come in an hour than the answer states at most", at_most=5.0, quick=quick,
+            draw=partial(come_more_often_than_stated, lengths, rate, 10_000, looks),
             remedy=(deadline, "anytime_upper", _one_look) if quick and looks > 1 else None,
         )
         for name, lengths in processes.LENGTHS.items()
@@ -727,7 +727,8 @@ ROWS = [
     ),
     Row(
         name="episodes of misses, 5 boots, rates lognormal (sd 1)", at_most=5.0, quick=40,
-        event="more come in an hour than is said at most", draw=partial(come_oftener_than_said_of_boots, 5, 1.0),
+        event="more come in an hour than the answer states at most",
+        draw=partial(come_more_often_than_stated_of_boots, 5, 1.0),
         remedy=(deadline, "_effect_between", _never_between),
     ),
     *(

@@ -156,16 +156,15 @@ def examine_constancy(
     )
     # Each kind of test has an error rate of its own: many tests of one kind must not hide what another one sees.
     families = (
-        *(
-            [change for change in found if change.significant == at]
-            for found in levels
-            for at in {change.significant for change in found}
-        ),
-        _alone(boots, probability, confidence),
+        [change for change in found if change.significant == at]
+        for found in levels
+        for at in {change.significant for change in found}
     )
-    seen = [change for family in families if (change := _strongest(family)) is not None]
+    in_time = [change for family in families if (change := _strongest(family)) is not None]
+    alone = _strongest(_alone(boots, probability, confidence))
+    seen = [*in_time, alone] if alone is not None else in_time
     strongest = min(seen, key=lambda change: change.p_value / change.significant, default=None)
-    return Constancy(change=strongest, in_time=any(change.is_in_time for change in seen), clusters=tuple(clusters))
+    return Constancy(change=strongest, in_time=bool(in_time), clusters=tuple(clusters))
 
 
 def find_climbs(boots: Sequence[Boot], deadline_ns: int) -> tuple[Climb, ...]:
@@ -237,12 +236,11 @@ def _turns(boot: Boot, visits: Visits) -> list[tuple[int, int]]:
 
 def _effect_alone(boot: Boot) -> float:
     """The design effect of the misses of one boot; 1 where a log kept no order."""
-    located = [run.misses for run in boot.trials if run.misses is not None]
     if boot.missed_at is None or boot.missed_at.size < 2:
         return 1.0
     if boot.missed_at.size < ENOUGH_MISSES:
         return effect_of_few(boot.missed_at, boot.loops)
-    return design_effect(pool(located))
+    return design_effect(pool(run.misses for run in boot.trials if run.misses is not None))
 
 
 def _alone(boots: Sequence[Boot], probability: float, confidence: float) -> list[Change]:

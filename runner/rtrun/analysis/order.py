@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rtrun.analysis.distributions import Floats
 from rtrun.analysis.ranks import ranks
-
-Floats = NDArray[np.float64]
 
 SEED = 20140715
 _PERMUTATIONS = 999

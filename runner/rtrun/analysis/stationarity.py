@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtrun.analysis.distributions import binomial_above, chi_squared_above
+from rtrun.analysis.distributions import Floats, binomial_above, chi_squared_above
 from rtrun.analysis.histogram import Int64s
-from rtrun.analysis.order import Floats, find_order
+from rtrun.analysis.order import find_order
 
 # Below this chance something counts as a change within runs. Few misses tell little, so for them it may be higher.
 SIGNIFICANT = 0.01
@@ -16,9 +16,6 @@ PARTS = 8
 PIECES = 64
 # Cochran (1954): the chi-squared test needs about five expected events in each part.
 _LEAST_FOR_PARTS = 5 * PARTS
-
-
-CHANGED = "it did not stay the same"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,13 +29,8 @@ class Change:
     p_value: float
     significant: float
     text: str
-    what: str = CHANGED
+    what: str = "it did not stay the same"
     missing_loops: int | None = None
-
-    @property
-    def is_in_time(self) -> bool:
-        """Whether it is one from earlier to later."""
-        return self.what == CHANGED
 
 
 def test_of_parts(positions: Int64s, loops: int) -> tuple[float, Int64s]:

@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from rtrun.analysis.distributions import student_quantile
+from rtrun.analysis.distributions import Floats, student_quantile
 from rtrun.analysis.histogram import Int64s
-from rtrun.analysis.order import Floats, find_common_order, find_order, signs_looked_at
+from rtrun.analysis.order import find_common_order, find_order, signs_looked_at
 from rtrun.analysis.stationarity import (
     PIECES,
     SIGNIFICANT,

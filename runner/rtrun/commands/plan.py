@@ -230,7 +230,7 @@ def _goal_lines(
 
 
 def _default_in_words(goal: "Goal", groups: "Sequence[Run]") -> str:
-    """What a stall comes to, where nobody says how long bursts are."""
+    """What a stall comes to, where bursts are not set."""
     if goal.bursts is not None:
         return ""
     least, most = (choose(_lengths_of_bursts(goal, groups)) for choose in (min, max))

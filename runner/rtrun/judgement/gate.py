@@ -111,7 +111,7 @@ def gate(
 
 
 def _bursts_by_default(study: Study) -> int:
-    """The bursts that a proof of each group covers where nobody says how long they are."""
+    """The bursts that a proof of each group covers where bursts are not set."""
     return max((group.verdict.bursts_by_default for group in study.answers if group.verdict), default=1)
 
 

@@ -185,7 +185,7 @@ def test_another_kind_is_not_concerned_by_what_left_no_record(results, capsys):
 
 @pytest.mark.parametrize("name", ["03-graph", "01-graph.old-1"])
 def test_a_topology_that_hung_counts_for_each_of_its_streams(tmp_path, name, capsys):
-    """It has none of its own."""
+    """A graph has no stream that is judged, but those of its nodes."""
     for number in (1, 2):
         write(tmp_path, f"{number:02}-graph", number, condition="cpu80")
         write(tmp_path, f"{number:02}-graph-scan", 10 + number, observed_by=f"{number:02}-graph")
