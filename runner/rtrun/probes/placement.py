@@ -14,7 +14,7 @@ from rtrun.probes.libraries.description import Argument, Probe, libraries
 from rtrun.probes.programs import FoundProgram, MappedLibrary
 from rtrun.probes.symbols import FILE_BYTES_MAX, LibrarySymbols, NotProbed, read_symbols
 from rtrun.probes.values import recorded
-from rtrun.targets.errors import TargetError
+from rtrun.targets.errors import ConnectionLost, TargetError, TargetGone
 
 if TYPE_CHECKING:
     from rtrun.targets.link import Link
@@ -116,7 +116,7 @@ def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str
         users.setdefault((each.device, each.inode), []).append((program, each))
     release, files = _look(link, [pair for each in list(users.values())[:FILES_MAX] for pair in each])
     is_shared = release >= _SHARED_SINCE
-    resolved = _resolve_all(link, {file.sha256: file for file in files.values()}.values())
+    resolved = _resolve_all(link, files.values())
 
     def symbols_of(each: MappedLibrary) -> LibrarySymbols | NotProbed:
         if each.is_deleted:
@@ -238,10 +238,12 @@ def _look(
 
 
 def _resolve_all(link: "Link", files: Collection[_LibraryFile]) -> dict[str, LibrarySymbols | NotProbed]:
-    """The functions of each file, by its SHA-256."""
+    """The functions of each file, by its SHA-256; where one of the same content cannot be read, the next is asked."""
     resolved: dict[str, LibrarySymbols | NotProbed] = {}
     size_bytes, end_s = 0, time.monotonic() + FETCH_S
     for file in files:
+        if isinstance(resolved.get(file.sha256), LibrarySymbols):
+            continue
         size_bytes += min(file.size_bytes, FILE_BYTES_MAX)
         if size_bytes > FILES_BYTES_MAX or time.monotonic() > end_s:
             limit = f"{FILES_BYTES_MAX // MIB} MiB in {FETCH_S:g} s"
@@ -252,7 +254,10 @@ def _resolve_all(link: "Link", files: Collection[_LibraryFile]) -> dict[str, Lib
 
 
 def _resolve(link: "Link", file: _LibraryFile) -> LibrarySymbols | NotProbed:
-    """Find all functions that any probe may need in a file of the target, which is brought here once."""
+    """Find all functions that any probe may need in a file of the target, which is brought here once.
+
+    Its program may end meanwhile, and anybody may change a library of his own: that is the end of this file alone.
+    """
     if file.size_bytes > FILE_BYTES_MAX:
         return NotProbed(f"it has more than {FILE_BYTES_MAX} bytes, as no library has")
 
@@ -261,9 +266,15 @@ def _resolve(link: "Link", file: _LibraryFile) -> LibrarySymbols | NotProbed:
         link.do(lambda connection: connection.download(path.parent, {path.name: file.size_bytes}, folder))
         data = read_bytes(folder / path.name, max_bytes=FILE_BYTES_MAX)
         if hashlib.sha256(data).hexdigest() != file.sha256:
-            raise TargetError(f"{link.target.address}: {file.path} changed while it was read")
+            raise TargetError(f"{file.path} changed")
         (folder / path.name).rename(folder / "library")
 
     known = libraries().values()
     names = {symbol for library in known for probe in library.probes for symbol in probe.symbols}
-    return read_symbols(cache.entry(KIND, file.sha256, download) / "library", names)
+    try:
+        library = cache.entry(KIND, file.sha256, download) / "library"
+    except (ConnectionLost, TargetGone):
+        raise
+    except TargetError:
+        return NotProbed("its file cannot be read any more: its program has ended meanwhile, or the file was changed")
+    return read_symbols(library, names)

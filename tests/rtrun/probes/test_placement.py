@@ -1,0 +1,75 @@
+"""Where the probes go when a library cannot be read: the others are placed all the same."""
+
+import dataclasses
+import os
+import shutil
+
+import pytest
+from probes.standin import EVENTS, find, running
+
+from rtrun.probes import placement
+from rtrun.targets.address import ThisMachine
+from rtrun.targets.link import Link
+
+
+@pytest.fixture
+def link(loopback):
+    with Link(dataclasses.replace(loopback, address=ThisMachine()), print) as link:
+        yield link
+
+
+@pytest.fixture
+def two(standin, tmp_path):
+    """The same program twice; the libraries of the second are of a content of their own, which no cache holds."""
+    folder = tmp_path / "his"
+    shutil.copytree(standin.parent, folder)
+    for library in folder.glob("*.so*"):
+        with library.open("ab") as file:
+            file.write(os.urandom(16))
+    started = (500, 10**9, 4 * 10**15, 1000, "/placed")
+    with running(standin, *started) as honest, running(folder / standin.name, *started) as elusive:
+        yield honest, elusive, folder
+
+
+def end(process, _folder):
+    process.kill()
+    process.wait()
+
+
+def change(_process, folder):
+    for library in folder.glob("*.so*"):
+        library.write_bytes(b"another one")
+
+
+def remove(_process, folder):
+    shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("act", [change, end, remove])
+def test_a_library_that_is_gone_when_it_is_fetched(link, two, monkeypatch, act):
+    """Its program ended, or its owner wished it: no probe is placed there, and that is reported."""
+    honest, elusive, folder = two
+    found = find(link, honest.pid, elusive.pid)
+    look = placement._look
+
+    def look_and_act(*arguments):
+        release, files = look(*arguments)
+        of_his = {each.inode for program in found if program.program.pid == elusive.pid for each in program.mapped}
+        # As of a program in a container, whose files are seen through the process alone.
+        ranges = {each.inode: each.range for program in found for each in program.mapped if each.inode in of_his}
+        if act is end:
+            files = {
+                key: dataclasses.replace(file, path=f"/proc/{elusive.pid}/map_files/{ranges[key[1]]}")
+                if key[1] in of_his
+                else file
+                for key, file in files.items()
+            }
+        act(elusive, folder)
+        return release, files
+
+    monkeypatch.setattr(placement, "_look", look_and_act)
+    placed = placement.place(link, found, events=EVENTS)
+    assert placed.probes and {each.path.startswith(str(folder)) for each in placed.probes} == {False}
+    assert {each.reason for each in placed.refused if each.path.startswith(str(folder))} == {
+        "its file cannot be read any more: its program has ended meanwhile, or the file was changed"
+    }
