@@ -364,13 +364,14 @@ def _effect_of_runs(
             "independent measurements: a log without samples keeps no order, bursts would not be seen",
         )
     if misses >= ENOUGH_MISSES:
-        return max(measurements_per_event * _widened(pool(located), confidence), between), ()
+        return max(measurements_per_event * _widened([pool(located)], confidence), between), ()
     starts = np.cumsum([0, *(run.n for run in runs)])
     places = [run.missed_at + start for run, start in zip(runs, starts, strict=False)]
     own = effect_of_few(np.concatenate(places), int(starts[-1])) if misses > 1 else 1.0
     levels = [run.level for run in runs if run.level is not None]
     assumes = () if levels else ("independent measurements: too few to see bursts",)
-    within = max(own, _widened(pool(levels), confidence)) if levels else own
+    # Of a long run the highest values are a smaller share than of a short one.
+    within = max(own, _widened(levels, confidence)) if levels else own
     return max(measurements_per_event * within, between), assumes
 
 
@@ -409,12 +410,12 @@ def _few(degrees: float, confidence: float) -> float:
     return (student_quantile(middle, degrees) / normal_quantile(middle)) ** 2
 
 
-def _widened(events: Events, confidence: float) -> float:
+def _widened(parts: Sequence[Events], confidence: float) -> float:
     """The design effect, larger where it rests on few bursts: their number counts as degrees of freedom.
 
     It is not beyond what it would be if all events were one burst.
     """
-    effect = design_effect(events)
+    effect, count = design_effect(*parts), sum(part.count for part in parts)
     if effect == 1:
         return 1.0
-    return max(effect, min(effect * _few(max(1.0, events.count / effect), confidence), float(events.count)))
+    return max(effect, min(effect * _few(max(1.0, count / effect), confidence), float(count)))

@@ -51,24 +51,33 @@ def pool(parts: Iterable[Events]) -> Events:
     return Events(blocks=tuple(sums[scale] for scale in sorted(sums)), loops=loops, count=events)
 
 
-def design_effect(events: Events) -> float:
+def design_effect(*parts: Events) -> float:
     """Variance of the number of events over that of independent ones (Kish 1965), at least 1.
 
-    It is the largest index of dispersion of block counts over all block lengths that leave 16 blocks, among those
-    that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed only once in two hundred times. For
-    independent bursts of size S it tends to E[S^2]/E[S].
+    Each part has its own share of events, of which alone it is said how they scatter: where parts have the same, pool
+    them. The effect is the largest index of dispersion of block counts over all block lengths that leave 16 blocks,
+    among those that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed only once in two hundred
+    times. For independent bursts of size S it tends to E[S^2]/E[S].
     """
-    n, k = events.loops, events.count
-    if k < 2 or k >= n:
+    parts = tuple(part for part in parts if 0 < part.count < part.loops)
+    n, k = sum(part.loops for part in parts), sum(part.count for part in parts)
+    if k < 2:
         return 1.0
-    p = k / n
     worst = 1.0
-    for scale, (whole, inside, squares) in enumerate(events.blocks):
-        if whole < _LEAST_BLOCKS:
+    for scale in range(max(len(part.blocks) for part in parts)):
+        scatter = expected = 0.0
+        whole = used = 0
+        for part in parts:
+            blocks, inside, squares = part.blocks[scale] if scale < len(part.blocks) else (0, 0, 0)
+            if blocks:
+                share = part.count / part.loops
+                mean = share * (2 << scale)
+                scatter += squares - 2 * mean * inside + blocks * mean * mean
+                expected += blocks * mean * (1 - share)
+                whole, used = whole + blocks, used + 1
+        if whole - used < _LEAST_BLOCKS - 1:
             continue
-        mean = p * (2 << scale)
-        scatter = squares - 2 * mean * inside + whole * mean * mean
-        dispersion = scatter / (mean * (1 - p)) / (whole - 1)
+        dispersion = scatter / expected * whole / (whole - used)
         if dispersion - 1 > _CHANCE * math.sqrt(2 / whole + 1 / k):
             worst = max(worst, dispersion)
     return min(worst, float(n))
