@@ -522,6 +522,17 @@ ROWS = [
         for number in (2, 3, 4, 5, 7, 10)
         for n in (20_000, 200_000)
     ),
+    *(
+        Row(
+            name=f"{number} boots of {n / number:.0f} loops, rates lognormal (sd 1)",
+            draw=partial(wrong_of_unlike_boots, Answer.PROVEN, [round(n / number)] * number, 1.0),
+            at_most=8.0 if number in (3, 4) and n == 4_400 else 5.0, reported={2: "8.7", 5: "6.1"}.get(number, ""),
+            quick=100 if n == 4_400 and number in (2, 5) else 0, long=1000,
+            remedy=(deadline, "of_few", lambda confidence, _: confidence) if n == 4_400 and number == 2 else None,
+        )
+        for number in (2, 3, 4, 5, 7)
+        for n in (4_400, 20_000, 200_000)
+    ),
     Row(
         name="bursts of 5, n = 1e4 (none seen: 13.5 %)",
         draw=partial(proven, partial(processes.bursts, 10_000, P, length=5.0)), reported="25", quick=0,

@@ -20,7 +20,7 @@ from rtrun.analysis.further import (
     missing_without_miss,
     smallest,
 )
-from rtrun.analysis.intervals import anytime_interval, anytime_lower, anytime_upper
+from rtrun.analysis.intervals import anytime_lower, anytime_upper, of_few
 from rtrun.analysis.startup import LeftOut
 from rtrun.analysis.stationarity import SIGNIFICANT, Change
 from rtrun.analysis.trends import Climb
@@ -159,15 +159,17 @@ def judge(account: Account, question: Question) -> Verdict:
         joined, probability=probability, confidence=confidence, deadline_ns=question.deadline_ns
     )
     effect, assumes = _effect(runs, alike, constancy.clusters, question, account.measurements_per_event)
-    lower, upper = anytime_interval(misses / effect, n / effect, _shared(confidence, account))
+    confidence_above = of_few(confidence, len(set(boots_of(runs))))
+    upper = anytime_upper(misses / effect, n / effect, _shared(confidence_above, account))
+    surely = misses
     if unclear := sum(run.unclear for run in runs):
         # What may have met the deadline counts as late for a proof, and as in time for a refutation.
         surely = sum(each.misses - each.share * run.unclear for run, each in zip(runs, alike, strict=True))
-        lower = anytime_lower(surely / effect, n / effect, _shared(confidence, account))
         assumes = (
             *assumes,
             f"{unclear} values within a step of the clock, or a bin of a log, of the deadline are late",
         )
+    lower = anytime_lower(surely / effect, n / effect, _shared(confidence, account))
     is_constant = constancy.change is None
     late_share = _late_share(question, account)
     episodes = _episodes(runs, question, account)
@@ -175,9 +177,11 @@ def judge(account: Account, question: Question) -> Verdict:
     bursts = bursts_asked(question, account.stream_ns, longest_seen)
     per_event = account.measurements_per_event
     # Of streams that are late together each has its part of a burst.
-    asked = replace(question, bursts=bursts.length * per_event if bursts.length > 1 else 1)
+    asked = replace(question, bursts=bursts.length * per_event if bursts.length > 1 else 1, confidence=confidence_above)
     lower, upper = lower * (1 - account.unseen_share), min(1.0, upper + late_share)
-    left = replace(question, probability=question.probability - late_share, confidence=_shared(confidence, account))
+    left = replace(
+        question, probability=question.probability - late_share, confidence=_shared(confidence_above, account)
+    )
     covered = longest_burst(misses, n, effect, left) / per_event if left.probability > 0 else 0.0
     covered = covered and max(1.0, covered)
     refused = _refusal(question, account)
@@ -216,7 +220,7 @@ def judge(account: Account, question: Question) -> Verdict:
         bursts=bursts,
         bursts_by_default=bursts_asked(replace(question, bursts=None), account.stream_ns, longest_seen).length,
         longest_burst=covered,
-        further_for_bursts=_further_for_bursts(misses, n, effect, question, per_event) if is_proven else (),
+        further_for_bursts=_further_for_bursts(misses, n, effect, asked, per_event) if is_proven else (),
         further=further,
         further_chance=chance_of_no_miss(misses, n, effect, further or 0),
         further_likely=likely and (Answer.PROVEN if likely[0] else Answer.REFUTED, likely[1]),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtrun.analysis.distributions import beta_above, beta_below, poisson_quantile
-from rtrun.analysis.intervals import anytime_interval, anytime_upper, is_upper_below
+from rtrun.analysis.intervals import anytime_interval, anytime_upper, is_upper_below, of_few
 from rtrun.analysis.search import where_one
 from rtrun.plan.question import Question, bursts_asked
 
@@ -65,7 +65,8 @@ def plan_measurements(
     a proof covers a stall (`bursts_asked`). Where some are tolerated, measurements are counted in ends of windows, of
     which as many as overlap are worth one. None where no number decides.
     """
-    question = replace(question, bursts=bursts_asked(question, period_ns).length)
+    asked, bursts = question.confidence, bursts_asked(question, period_ns).length
+    question = replace(question, bursts=bursts, confidence=of_few(asked, question.boots))
     effect = float(question.tolerance.overlap)
     if not rate:
         total = smallest(lambda total: proves(0, total, effect, question), 0)
@@ -77,7 +78,7 @@ def plan_measurements(
             misses = effect * poisson_quantile(LIKELY, rate * total / effect)
             return proves(misses, total, effect, question)
         misses = max(0, poisson_quantile(1 - LIKELY, rate * total / effect) - 1)
-        return anytime_interval(misses, total / effect, question.confidence)[0] > question.probability
+        return anytime_interval(misses, total / effect, asked)[0] > question.probability
 
     total = smallest(decided, 0)
     return None if total is None else (rate < question.probability, total)

@@ -1,5 +1,6 @@
 """Deadline verdicts: the answers, what they rest on, and what is refused; their error rates are in tests/coverage/."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +10,7 @@ from scipy.ndimage import rank_filter
 
 from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import Answer, Verdict, judge
+from rtrun.analysis.further import plan_measurements
 from rtrun.analysis.histogram import Histogram, from_samples
 from rtrun.analysis.intervals import anytime_interval
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
@@ -113,7 +115,30 @@ def test_two_boots_that_differ_are_worth_little() -> None:
 
 def test_a_second_miss_in_the_other_boot_does_not_help() -> None:
     upper = [verdict(of_boot(9000, a, "a"), of_boot(9000, b, "b")).upper for a, b in ((0, 0), (0, 1), (1, 1), (0, 2))]
-    assert upper[0] < upper[1] < upper[3] and upper[1] < 1.05 * upper[2]
+    assert upper[0] < upper[1] < upper[3] and upper[1] < 1.1 * upper[2]
+
+
+@pytest.mark.parametrize(("boots", "enough"), [(1, 3690), (2, 6000), (3, 4400), (9, 4401), (10, 3690)])
+def test_few_boots_take_more_without_a_miss(boots: int, enough: int) -> None:
+    """Few that are alike by chance hide that boots differ. The number that is planned is the number that is enough."""
+
+    def measured(n: int) -> Verdict:
+        # The highest values at even distances: they form no bursts.
+        values = 50_000 + np.arange(math.ceil(n / boots)) % 7
+        return verdict(*(replace(count_misses(values, DEADLINE), boot=str(boot)) for boot in range(boots)))
+
+    proven, short = measured(enough), measured(math.floor(0.98 * enough))
+    assert (proven.answer, short.answer) == (Answer.PROVEN, Answer.NEEDS_MORE)
+    planned = plan_measurements(Question(probability=1e-3, bursts=1, boots=boots))
+    assert planned == (True, short.n + short.further) and short.n < planned[1] <= proven.n
+
+
+@pytest.mark.parametrize("lengths", [(9000, 3300), (60_000, 1000), (400, 40_000)])
+def test_runs_of_unlike_lengths_are_no_bursts(lengths: tuple[int, ...]) -> None:
+    """The highest values of a run are another share of a short one than of a long one: that is no dependence."""
+    rng = np.random.default_rng(5)
+    runs = [count_misses(rng.integers(50_000, 90_000, n), DEADLINE) for n in lengths]
+    assert verdict(*(replace(run, boot=str(n)) for run, n in zip(runs, lengths, strict=True))).design_effect < 1.5
 
 
 def test_runs_of_one_boot_that_differ_are_clusters() -> None:

@@ -18,7 +18,7 @@ QUESTION = Question(probability=1e-3, bursts=1)
 WORDS = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95", "--bursts", "1"]
 
 
-def write(root, board, boot="", *, late=0, n=2500, name=None, **target):
+def write(root, board, boot="", *, late=0, n=3200, name=None, **target):
     """A run on a board whose first `late` values miss the deadline; seven apart, so that they form no burst."""
     values = latencies(n, sum(map(ord, board + boot)), 90.0)
     values[: 701 * late : 701] = 500_000
@@ -85,8 +85,8 @@ def test_a_board_that_misses_fails_the_gate_whatever_the_others_prove(tmp_path, 
 def test_a_goal_is_reached_by_alike_boards_together_and_by_each_of_unlike_ones(tmp_path, governor):
     entry = {"suite": "oneshot_timer_tests", "repetitions": 100, "timeout_us": 1000, "policy": "RR"}
     (group,) = plan(Campaign(schema=1, name="test", order="interleaved", seed=7, runs=[entry]), "test")
-    write(tmp_path, "a", n=6000, name=group.name)
-    write(tmp_path, "b", n=2000, name=f"{group.name}-r2", governor=governor)
+    write(tmp_path, "a", n=9000, name=group.name)
+    write(tmp_path, "b", n=3400, name=f"{group.name}-r2", governor=governor)
     (chosen,) = standings_of([group], standings(study(tmp_path, QUESTION))).values()
     assert chosen.is_final == (governor == "performance")
     assert chosen.boards == ({"a", "b"} if governor == "performance" else {"b"})

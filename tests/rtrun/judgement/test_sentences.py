@@ -78,7 +78,7 @@ ADDED = "for the system measure on 5 boots or more"
         (trials(4000), QUESTION, f"holds for the boot that was measured; {ADDED}"),
         (trials(20_000), QUESTION, "holds for bursts of up to 5 misses ("),
         (
-            trials(4000, boots=5),
+            trials(5000, boots=5),
             QUESTION,
             "measured on 5 boots: boots of another kind, of which none was measured, may be 52 % of",
         ),
@@ -127,7 +127,7 @@ def test_a_change_is_said_before_anything_else():
     ("measured", "said"),
     [
         (trials(4000), "this boot, single misses"),
-        (trials(100_000, boots=5), "at least 48 % of boots, bursts of 27"),
+        (trials(100_000, boots=5), "at least 48 % of boots, bursts of 22"),
         (trials(1000), "-"),
     ],
 )
