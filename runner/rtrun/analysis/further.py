@@ -111,12 +111,17 @@ def likely_further(misses: float, n: int, effect: float, question: Question) -> 
     arrivals = n * scale + np.cumsum(rng.exponential(size=(_COURSES, _BURSTS_TO_COME)), axis=1) / rates[:, None]
     before = np.column_stack((np.full(_COURSES, n * scale), arrivals[:, :-1]))
     counts = [k + more for more in range(_BURSTS_TO_COME + 1)]
-    proven_from = np.array(list(_proven_from(counts[:-1], effect, question)))
-    refuted_until = np.array(list(_refuted_until(counts[1:], question)))
-    proven = np.where(proven_from < arrivals, np.maximum(proven_from, before), np.inf)
-    refuted = np.where(arrivals <= refuted_until, arrivals, np.inf)
-    first = np.minimum(proven.min(axis=1), refuted.min(axis=1))
-    total = float(np.quantile(first, LIKELY, method="higher")) * effect
+    first, likely = np.full(_COURSES, np.inf), np.inf
+    ends = zip(_proven_from(counts[:-1], effect, question), _refuted_until(counts[1:], question), strict=True)
+    for begin, arrival, (proven_from, refuted_until) in zip(before.T, arrivals.T, ends, strict=True):
+        proven = np.where(proven_from < arrival, np.maximum(proven_from, begin), np.inf)
+        refuted = np.where(arrival <= refuted_until, arrival, np.inf)
+        first = np.minimum(first, np.minimum(proven, refuted))
+        likely = float(np.quantile(first, LIKELY, method="higher"))
+        # A course that is not decided yet is decided later than that.
+        if likely <= arrival[np.isinf(first)].min(initial=np.inf):
+            break
+    total = likely * effect
     if not total < UNATTAINABLE:
         return None
     return misses / n < question.probability, max(0, math.ceil(total) - n)
