@@ -4,6 +4,7 @@ import json
 import math
 import sqlite3
 import sys
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -180,7 +181,7 @@ def test_a_caveat_names_a_hazard_with_a_number():
 def test_pairs_are_those_of_two_hazards_alone():
     lines = [_line("AR", "climb", passed=False)] * 400 + [_line("AR", "climb", "looks")] * 400
     assert [name for name, _ in Tables(lines).pair_rows(400)] == ["AR + climb"]
-    assert Tables(lines).failures() == []
+    assert Tables(lines).failures() == ["AR", "climb", "looks"], "with others, and not the pair"
 
 
 def test_results_of_another_state_and_a_line_that_was_cut_off_are_left_out(tmp_path):
@@ -234,6 +235,7 @@ def write(tmp_path, page, monkeypatch):
     monkeypatch.setattr(machines, "run", lambda *_: None)
     for module in ("drawn.tables", "machines"):
         monkeypatch.setattr(f"{module}.HAZARD_LEAST", 30)
+    monkeypatch.setattr("drawn.tables.PAIRS_SHOWN", 0)
     path = tmp_path / "lines"
 
     def write(lines, *options):
@@ -249,7 +251,7 @@ def test_a_partial_run_is_written_and_says_what_it_rests_on(write):
     lines = _lines_of(30)
     text = write(lines[1:])
     assert f"{machines.PARTIAL} These tables rest on {len(lines) - 1} machines (seeds 1 to {len(lines) - 1}), " in text
-    assert f"1 of {len(HAZARDS)} hazards have fewer." in text
+    assert f"This one lacks: {next(iter(HAZARDS))}: 29 of 30 machines." in text
     assert "| climb | 0.0 % of 30 |" in text
 
 
@@ -260,6 +262,37 @@ def test_a_full_run_replaces_a_partial_one_and_no_partial_one_replaces_it(write)
     assert machines.PARTIAL not in full
     assert f"A full run: {len(lines)} machines (seeds 0 to {len(lines) - 1}), " in full
     assert write(lines[1:]) == full
+
+
+def test_a_run_without_pairs_is_no_full_one(write, monkeypatch):
+    monkeypatch.setattr("drawn.tables.PAIRS_SHOWN", 1)
+    assert "This one lacks: 0 of 1 pairs." in write(_lines_of(30))
+
+
+def test_the_worst_pairs_are_examined_further(monkeypatch):
+    """At first all seeds, until each hazard has its machines; then those of the pairs that were worst long before."""
+    for name, value in (("HAZARD_LEAST", 20), ("_OF_A_PAIR", 3), ("_IN_WORK_MAX", 10)):
+        monkeypatch.setattr(machines, name, value)
+    monkeypatch.setattr("drawn.tables.PAIRS_SHOWN", 2)
+    asked = []
+
+    def tables(below):
+        asked.append(below)
+        # Of any three pairs the second is never wrong.
+        pairs = ("AR", "climb"), ("AR", "leak"), ("AR", "step")
+        lines = [_line(*pair, passed=pair != ("AR", "leak")) for pair in pairs for _ in range(40)]
+        return Tables(lines)
+
+    chosen = list(machines.wanted({3, 5}, None, tables))
+    (below,) = asked
+    first = [seed for seed in chosen if seed <= below + 10]
+    assert first == [seed for seed in range(below + 11) if seed not in (3, 5)]
+    counts = Counter(name for seed in range(below + 11) for name in hazards_of(seed))
+    before = Counter(name for seed in range(below + 10) for name in hazards_of(seed))
+    assert min(counts[name] for name in HAZARDS) == 20 > min(before[name] for name in HAZARDS)
+    of_pairs = Counter(tuple(hazards_of(seed)) for seed in [*range(below + 11), *chosen[len(first) :]])
+    assert {tuple(hazards_of(seed)) for seed in chosen[len(first) :]} <= {("AR", "climb"), ("AR", "step")}
+    assert min(of_pairs["AR", "climb"], of_pairs["AR", "step"]) >= 3
 
 
 def test_machines_of_one_hazard_or_none_are_not_written(write, page):

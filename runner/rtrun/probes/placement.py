@@ -42,6 +42,7 @@ while IFS=' ' read -r key pid range path; do
         case $file in *[[:space:]#\\]*) continue ;; esac
         [ "$file" -ef "$mapped" ] && break
     done
+    true <"$file" || continue
     # Of one that is too large there is no need to know how much: anybody can make a sparse file of any size.
     size=$(head -c 67108865 <"$file" | wc -c) && digest=$(head -c 67108864 <"$file" | sha256sum) &&
         printf '%s\n' "$pid $range $size ${digest%% *} $file" &&

@@ -99,6 +99,19 @@ class Tables:
                 rows.append((" + ".join(pair), [self.share(lines, answer) for answer in ANSWERS]))
         return sorted(rows, key=lambda row: -max(lower_bound(each.bare, each.of) for each in row[1]))
 
+    def worst_pairs(self) -> set[tuple[str, ...]]:
+        """The pairs that are shown: those with the most false answers, of each as a share of the machines it may be of."""
+
+        def worst_share(pair: tuple[str, ...]) -> float:
+            shares = [self.share(by_pair[pair], answer) for answer in ANSWERS]
+            return max((each.bare + 0.5) / (each.of + 1) for each in shares)
+
+        by_pair: dict[tuple[str, ...], list[Line]] = {}
+        for line in self.lines:
+            if len(line["hazards"]) == 2:
+                by_pair.setdefault(tuple(line["hazards"]), []).append(line)
+        return set(sorted(by_pair, key=worst_share, reverse=True)[:PAIRS_SHOWN])
+
     def worst(self) -> list[Line]:
         """The machines that are furthest from their false answer: of which it is wrong by the most."""
 
@@ -115,14 +128,16 @@ class Tables:
         return sorted(wrong, key=distance, reverse=True)[:WORST_SHOWN]
 
     def failures(self, least: int = PAIR_LEAST) -> list[str]:
-        """The rows that fail: hazards that are alone, and pairs."""
-        rows = [(name, shares[:2]) for name, shares in self.hazard_rows()] + self.pair_rows(least)
+        """The rows that fail: hazards, alone and with others, and pairs."""
+        rows = self.hazard_rows() + self.pair_rows(least)
         return [name for name, shares in rows if any(share.is_failure for share in shares)]
 
     def lacking(self) -> list[str]:
         """What a full run has and this one has not."""
         count: Callable[[str], int] = lambda name: sum(name in line["hazards"] for line in self.lines)  # noqa: E731
-        return [f"{name}: {count(name)} of {HAZARD_LEAST} machines" for name in HAZARDS if count(name) < HAZARD_LEAST]
+        few = [f"{name}: {count(name)} of {HAZARD_LEAST} machines" for name in HAZARDS if count(name) < HAZARD_LEAST]
+        pairs = len(self.pair_rows(PAIR_LEAST))
+        return few + ([f"{pairs} of {PAIRS_SHOWN} pairs"] if pairs < PAIRS_SHOWN else [])
 
     def text(self, least: int = PAIR_LEAST) -> str:
         """The tables in Markdown."""

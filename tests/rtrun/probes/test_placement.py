@@ -73,3 +73,14 @@ def test_a_library_that_is_gone_when_it_is_fetched(link, two, monkeypatch, act):
     assert {each.reason for each in placed.refused if each.path.startswith(str(folder))} == {
         "its file cannot be read any more: its program has ended meanwhile, or the file was changed"
     }
+
+
+def test_a_program_that_ended_before_its_library_is_looked_at(link, two):
+    honest, elusive, folder = two
+    found = find(link, honest.pid, elusive.pid)
+    end(elusive, folder)
+    placed = placement.place(link, found, events=EVENTS)
+    assert placed.probes and {each.path.startswith(str(folder)) for each in placed.probes} == {False}
+    assert {each.reason for each in placed.refused if each.path.startswith(str(folder))} == {
+        "its file cannot be read, as its program has ended meanwhile, or this user is not root"
+    }
