@@ -6,7 +6,7 @@ BIN := .venv/bin
 # Many tests wait for one another's processes rather than work: twice as many workers as processors, with 0.3 GB each.
 WORKERS ?= $(shell expr 2 '*' $$(nproc))
 # OpenBLAS would start threads in each, which wait for one another busily.
-PYTEST := OPENBLAS_NUM_THREADS=1 tools/with-rights $(BIN)/pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup --no-loadscope-reorder
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup --no-loadscope-reorder
 # Workers and the programs that they start find their modules compiled, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 

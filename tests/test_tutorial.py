@@ -71,6 +71,7 @@ def same(command: str, lines: list[str]) -> list[str]:
     return [match[0] for line in lines if (match := re.match(pattern, line.rstrip()))]
 
 
+@pytest.mark.root
 def test_its_commands_run_and_print_what_it_shows(checkout: Path) -> None:
     environment = os.environ | {"PATH": "/usr/local/bin:/usr/bin:/bin:/usr/sbin:/sbin"}  # the programs have their paths
     ran = []

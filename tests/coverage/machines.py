@@ -205,8 +205,8 @@ def written(tables: Tables, text: str) -> str:
     if lacking:
         head = (
             f"{PARTIAL} These tables rest on {rests_on}.\n"
-            f"A full run has {HAZARD_LEAST} of each hazard, and {PAIRS_SHOWN} pairs with {PAIR_LEAST} at the edge. This one lacks: "
-            f"{'; '.join(lacking[:3])}{' ...' if len(lacking) > 3 else ''}."
+            f"A full run has {HAZARD_LEAST} of each hazard, and {PAIRS_SHOWN} pairs with {PAIR_LEAST} at the edge. "
+            f"This one lacks: {'; '.join(lacking[:3])}{' ...' if len(lacking) > 3 else ''}."
         )
     else:
         head = f"A full run: {rests_on}."

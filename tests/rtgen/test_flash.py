@@ -15,6 +15,7 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtgen import flash
 from rtgen.cli import main
 
+pytestmark = pytest.mark.root  # makes block devices of files
 MIB = 1024 * 1024
 
 

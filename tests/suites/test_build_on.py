@@ -39,6 +39,7 @@ def target_file(folder: Path, sshd: Sshd | None = None, **keys: object) -> str:
     return str(path)
 
 
+@pytest.mark.root
 @pytest.mark.xdist_group("suites built there")  # the second finds in ccache what the first compiled
 @pytest.mark.parametrize("kind", ["local", "ssh"])
 def test_built_there_and_measured(
@@ -116,6 +117,7 @@ def test_a_target_without_ros(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "no ROS on the target: neither /opt/ros/*/setup.sh nor roscpp in /usr is there" in said
 
 
+@pytest.mark.root
 def test_a_target_whose_disk_is_full(tmp_path: Path, small_disk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = refused([str(builder.sources()), "--target", target_file(tmp_path)], capsys)
     assert f"the target's disk is full (df -h {small_disk}/building" in said

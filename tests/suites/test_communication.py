@@ -50,12 +50,14 @@ def test_defaults(bench: Bench) -> None:
         assert one["requested"] == defaults_of(one["program"]) | {"repetitions": 500} | changed
 
 
+@pytest.mark.root
 def test_a_publisher_that_cannot_keep_its_frequency_says_so(bench: Bench) -> None:
     assert bench.run("communication_tests_publisher", "-f", "1000000", "-r", "2000", "-s", "FIFO").status == 0
     sent = json.loads((bench.folder / "ct_gnuplot_l2000_fq1000000_pl0-tnRTFIFO-publisher.json").read_text())
     check_that_skipped_periods_make_up_the_time(sent["rate"], 2000)
 
 
+@pytest.mark.root
 def test_in_real_time_with_payload(bench: Bench) -> None:
     receiver, sender = bench.communicate("-r", "100", "-s", "FIFO", "-l", "100000", "-f", "200")
     assert (receiver.status, sender.status) == (0, 0)
@@ -127,6 +129,7 @@ def test_publisher_of_more_messages_than_expected(bench: Bench) -> None:
     assert record["incomplete_reason"].endswith("publisher and subscriber need the same -r")
 
 
+@pytest.mark.root
 def test_five_subscribers_by_the_launch_file(bench: Bench) -> None:
     launch(
         bench, "communication_tests", "communication_tests_5sub", "s:=RR", "r:=200", "f:=500", "p:=n", "d:=2", "l:=64"

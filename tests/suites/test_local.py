@@ -11,7 +11,7 @@ from rtrun.cli import main
 from rtrun.judgement.gate import ALLOCATIONS, gate
 from rtrun.judgement.study import study
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.root]
 
 ALLOCATED_BY_LOOP = "allocations_of_measuring_thread"
 # Beside other work, programs of the normal policy miss their rate: such a run is invalid. Cyclictest has no rate; at

@@ -39,6 +39,7 @@ def kept_from_its_rate(results):
     return {record.suite for record in bad}
 
 
+@pytest.mark.root
 def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suites, tmp_path):
     status, printed, _ = quick("--deadline", "60s", "--for", "6s", "--suites", suites)
     late = kept_from_its_rate(tmp_path / "results" / "quick")
@@ -70,6 +71,7 @@ def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suit
     assert runs <= {f"{number:03}-oneshot_timer_tests" for number in (1, 2)} and runs
 
 
+@pytest.mark.root
 @pytest.mark.parametrize(
     ("words", "message"),
     [

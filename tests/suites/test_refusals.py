@@ -75,6 +75,7 @@ def test_output_folder_is_looked_at_first(offline: Bench) -> None:
     )
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_missing_right_to_real_time(offline: Bench, program: str) -> None:
     ended = offline.run(program, "-s", "RR", before=ONLY_MEMORY)
@@ -86,6 +87,7 @@ def test_missing_right_to_real_time(offline: Bench, program: str) -> None:
     assert offline.files() == []
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_missing_right_to_lock_memory(offline: Bench, program: str) -> None:
     ended = offline.run(program, "-s", "FIFO", before=ONLY_PRIORITY)
@@ -96,6 +98,7 @@ def test_missing_right_to_lock_memory(offline: Bench, program: str) -> None:
     assert offline.files() == []
 
 
+@pytest.mark.root
 @pytest.mark.parametrize(
     ("place", "option", "message"),
     [

@@ -93,6 +93,7 @@ def policies(record: dict[str, Any]) -> set[tuple[str, int]]:
     return {(thread["policy"], thread["priority"]) for thread in record["in_effect"]["threads"]}
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("program", TIMERS)
 def test_timers_with_every_thread_at_the_policy(bench: Bench, program: str) -> None:
     ended = bench.run(program, "-r", "200", "-s", "FIFO", "--priority", "80", "--cpu", "0")
@@ -130,12 +131,14 @@ def test_a_timer_in_busy_mode(bench: Bench) -> None:
     assert check_outputs(bench.folder, "oneshot_timer_tests_l50_tm500-bm", bench.middleware)["counts"]["measured"] == 50
 
 
+@pytest.mark.root
 def test_a_timer_that_is_asked_for_too_much_counts_what_it_skips(bench: Bench) -> None:
     assert bench.run("cyclic_timer_tests", "-r", "2000", "-f", "1000000", "-s", "FIFO").status == 0
     record = check_outputs(bench.folder, "cyclic_timer_tests_l2000_fq1000000-tnRTFIFO", bench.middleware)
     check_that_skipped_periods_make_up_the_time(record["rate"], 2000)
 
 
+@pytest.mark.root
 def test_messages_in_real_time(bench: Bench) -> None:
     (receiver,), sender = communicate(bench, "-r", "300", "-f", "500", "-s", "FIFO", "-l", "1000")
     assert (sender.status, sender.out, sender.err) == (0, "\tINFO: Done publishing...\n", "")
@@ -244,6 +247,7 @@ def test_a_publisher_that_waits_for_nobody_ends_on_a_signal(bench: Bench) -> Non
     assert end(sender) == Ended(1, "", "\tERROR: ended by SIGTERM after 0 of 1000 messages\n")
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("payload", [1000, 1024 * 1024])
 def test_fast_dds_by_itself_is_that_of_the_ros2(built: tuple[Path, Path, str], bench: Bench, payload: int) -> None:
     """Its programs find it where nothing is set up."""
@@ -263,6 +267,7 @@ def test_fast_dds_by_itself_is_that_of_the_ros2(built: tuple[Path, Path, str], b
 SMALL = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs -o size=64k none /dev/shm && exec "$@"', "sh")
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("through", ["rcl", "fastdds", "cyclonedds"])
 @pytest.mark.parametrize("fault", ["shared memory full", "another publisher", "another subscriber"])
 def test_counted_messages_add_up(bench: Bench, through: str, fault: str) -> None:
@@ -333,6 +338,7 @@ runs:
 """
 
 
+@pytest.mark.root
 def test_a_campaign_on_ros_1_and_2(
     built: tuple[Path, Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -65,6 +65,7 @@ def resident_kib_of_samples(program: str) -> int:
     return int(ROWS * ROW_BYTES.get(program, 0)) // 1024 + STACK_KIB + HEAP_KIB
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("scope", ["process", "measuring-thread"])
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_memory_comes_before_priority(bench: Bench, preloaded: Path, program: str, scope: str) -> None:
@@ -74,6 +75,7 @@ def test_memory_comes_before_priority(bench: Bench, preloaded: Path, program: st
     assert kib["VmRSS"] > resident_kib_of_samples(program), kib
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("role", ["publisher", "subscriber"])
 def test_memory_comes_before_priority_without_ros(bench: Bench, preloaded: Path, role: str) -> None:
     bench.middleware = "tcp"
@@ -84,6 +86,7 @@ def test_memory_comes_before_priority_without_ros(bench: Bench, preloaded: Path,
     assert kib["VmRSS"] > resident_kib_of_samples(f"communication_tests_{role}"), kib
 
 
+@pytest.mark.root
 def test_memory_comes_before_priority_in_a_graph(bench: Bench, preloaded: Path) -> None:
     (bench.folder / "all.topology").write_text(NODE)
     seen = bench.folder / "first-policy"
@@ -113,6 +116,7 @@ def test_a_publisher_whose_send_throws_ends_with_an_error(bench: Bench, preloade
     assert record["counts"] == {"asked": 100, "sent": 4}
 
 
+@pytest.mark.root
 def test_a_node_whose_send_throws_ends_with_an_error(bench: Bench, preloaded: Path) -> None:
     (bench.folder / "all.topology").write_text(NODE)
     bench.environment |= {"LD_PRELOAD": str(preloaded / "throwing_roscpp"), "THROWS": "publish"}
@@ -122,6 +126,7 @@ def test_a_node_whose_send_throws_ends_with_an_error(bench: Bench, preloaded: Pa
     assert (record["complete"], record["incomplete_reason"]) == (False, "roscpp: cannot publish: planted")
 
 
+@pytest.mark.root
 @pytest.mark.parametrize(
     ("program", "thread"),
     [(program, "main") for program in PROGRAMS if program != "communication_tests_publisher"]

@@ -114,6 +114,7 @@ def follow(page: str, folder: Path, user: str) -> str:
     return printed
 
 
+@pytest.mark.root
 @pytest.mark.trace  # that of this machine's kernel
 def test_i_have_a_board(checkout: Path, sshd: Sshd) -> None:
     (checkout / "brakes.yml").write_text(shorter(file_of(TOP / "docs/start/board.md", "brakes.yml")))
@@ -139,6 +140,7 @@ def test_i_build_images(checkout: Path, sshd: Sshd) -> None:
     assert (checkout.parent / "my-image/kas.yml").is_file() and (checkout / "results/smoke/report.html").is_file()
 
 
+@pytest.mark.root
 def test_i_run_a_lab(checkout: Path, sshd: Sshd) -> None:
     printed = follow("lab.md", checkout, sshd.user)
     assert "panda-1" in printed and "panda-2" in printed

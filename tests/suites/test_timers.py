@@ -56,6 +56,7 @@ def test_oneshot_defaults(bench: Bench) -> None:
     assert np.load(bench.folder / f"{base}.npy").shape == (1000, 5)
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("policy", ["RR", "FIFO"])
 @pytest.mark.parametrize("busy", ["0", "1"])
 def test_oneshot_in_real_time(bench: Bench, policy: str, busy: str) -> None:
@@ -71,6 +72,7 @@ def test_oneshot_in_real_time(bench: Bench, policy: str, busy: str) -> None:
     assert f"\tINFO: Running in {'busy' if busy == '1' else 'default'} mode" in ended.lines
 
 
+@pytest.mark.root
 def test_cyclic_at_seven_kilohertz(bench: Bench) -> None:
     ended = bench.run("cyclic_timer_tests", "-s", "RR", "-f", "7000", "-r", "700")
     assert (ended.status, ended.err) == (0, "")
@@ -86,6 +88,7 @@ def test_cyclic_at_seven_kilohertz(bench: Bench) -> None:
     assert np.load(bench.folder / f"{base}.npy").shape == (701, 3)
 
 
+@pytest.mark.root
 def test_only_the_measuring_threads_in_real_time(bench: Bench) -> None:
     asked = ("-s", "FIFO", "--rt-scope", "measuring-thread", "--priority", "40", "--cpu", "0", "-r", "50")
     for program, base in {
@@ -108,6 +111,7 @@ def test_a_timeout_of_zero(bench: Bench) -> None:
     assert record["summary"]["measured"]["min_ns"] > 0
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("frequency", [200_000, 1_000_000_000])
 def test_a_frequency_that_the_timer_cannot_keep(bench: Bench, frequency: int) -> None:
     """Every period is measured; each is too long by what roscpp needs for a call."""
@@ -131,6 +135,7 @@ def test_a_timer_that_was_stopped_skipped_periods(bench: Bench) -> None:
     assert rate["overruns"] >= 1 and rate["skipped"] >= 45
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_idle_cpus_are_held_awake_where_asked_for(bench: Bench, program: str) -> None:
     """The device is open while measuring, and only if it was asked for; what the kernel reports is recorded."""
@@ -161,6 +166,7 @@ def page_faults(process: "subprocess.Popen[str]") -> int:
     return int(fields[7]) + int(fields[9])
 
 
+@pytest.mark.root
 @pytest.mark.parametrize(
     "command",
     [
@@ -237,6 +243,7 @@ def test_busy_mode_ends_on_a_signal(bench: Bench) -> None:
     assert check_outputs(bench.folder, "oneshot_timer_tests_l1000000_tm1000-bm")["complete"] is False
 
 
+@pytest.mark.root
 @pytest.mark.parametrize(
     ("program", "mode"), [("oneshot_timer_tests", "-b0"), ("oneshot_timer_tests", "-b1"), ("cyclic_timer_tests", "")]
 )
@@ -376,6 +383,7 @@ def test_what_was_requested_is_what_suites_yml_says(bench: Bench) -> None:
         assert requested == defaults_of(program) | {"repetitions": 5}
 
 
+@pytest.mark.root
 def test_blocks_survive_a_kill(bench: Bench) -> None:
     """What a power cut leaves of a long run, but for what the disk itself would lose: the part, and nothing else."""
     process = bench.start("cyclic_timer_tests", "-s", "FIFO", "-r", "100000")
@@ -393,6 +401,7 @@ def test_blocks_survive_a_kill(bench: Bench) -> None:
     assert rows[-1, 0] - rows[0, 0] < 60e9
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("program", ["oneshot_timer_tests", "cyclic_timer_tests"])
 def test_a_long_run_leaves_no_part(bench: Bench, program: str) -> None:
     """The writer is there, of normal priority, and says what it could not write; the results are as ever."""

@@ -138,6 +138,7 @@ def check(folder, middleware):
     return over.overruns
 
 
+@pytest.mark.root
 def test_through_roscpp_and_cyclone(suites, place, capsys):
     assert main(write(place, suites, "roscpp", "cyclonedds")) == 0, capsys.readouterr()
     found, overruns = records(place), []
@@ -177,6 +178,7 @@ def on_ros2(tmp_path_factory):
     return prefix, builder.build("host", tmp_path_factory.mktemp("suites"), ros2=prefix)
 
 
+@pytest.mark.root
 def test_through_rcl(on_ros2, place, capsys):
     prefix, suites = on_ros2
     words = write(place, suites, "rcl", target=f"ros_setup: {prefix}/setup.sh")
@@ -185,6 +187,7 @@ def test_through_rcl(on_ros2, place, capsys):
     check(place / "results/braking/001-topology-braking-rcl", "rcl")
 
 
+@pytest.mark.root
 def test_a_node_that_dies_ends_the_run_with_its_name(suites, place):
     """The others are ended, nothing of them is left, and the run is measured again by the next call."""
     words = write(place, suites, "cyclonedds").copy()

@@ -96,6 +96,7 @@ def check_counts(bench: Bench, output: str, transport: str, subscribers: int = 1
     return [sent, *records]
 
 
+@pytest.mark.root
 @each
 def test_two_subscribers_in_real_time(bench: Bench, transport: str) -> None:
     """Every thread, those of the transport too, has the policy and the priority that were asked for."""
@@ -115,6 +116,7 @@ def test_two_subscribers_in_real_time(bench: Bench, transport: str) -> None:
         assert (len(threads) > 1) == (transport in ("zeromq", "cyclonedds", "fastdds"))
 
 
+@pytest.mark.root
 def test_a_transport_whose_threads_are_left_alone_says_so(bench: Bench) -> None:
     """Only the measuring thread: those that ZeroMQ has started before it are of normal scheduling, and recorded."""
     communicate(bench, "zeromq", "-r", "50", "-s", "RR", "--rt-scope", "measuring-thread", "--priority", "40")
@@ -229,6 +231,7 @@ def test_an_environment_that_is_wrong(bench: Bench, program: str, variable: str,
     assert (ended.status, ended.err) == (2, f"\tERROR: {variable} {message}\n")
 
 
+@pytest.mark.root
 def test_shared_memory_that_is_full(bench: Bench, domain: int) -> None:
     small = ("unshare", "--mount", "sh", "-c", 'mount -t tmpfs -o size=1m none /dev/shm && exec "$@"', "sh")
     ended = bench.run("communication_tests_publisher_futex", "-l", "1000", before=small)

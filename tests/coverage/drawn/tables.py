@@ -100,7 +100,7 @@ class Tables:
         return sorted(rows, key=lambda row: -max(lower_bound(each.bare, each.of) for each in row[1]))
 
     def worst_pairs(self) -> set[tuple[str, ...]]:
-        """The pairs that are shown: those with the most false answers, of each as a share of the machines it may be of."""
+        """The pairs that are shown: those with the most false answers, as shares of the machines they may be of."""
 
         def worst_share(pair: tuple[str, ...]) -> float:
             shares = [self.share(by_pair[pair], answer) for answer in ANSWERS]

@@ -147,6 +147,7 @@ def test_a_trace_that_is_too_large_is_named_and_costs_the_run_nothing(target, tm
     assert written["refused"] == {name: f"{name} has 134217728 bytes, at most 67108864 were expected: it was not taken"}
 
 
+@pytest.mark.root
 def test_programs_of_2014_write_logs_only(target, tmp_path, watching, wishes):
     wishes.will("2014", "2014")
     runs = runs_of(1, repetitions=300, frequency_hz=1000, policy=["0", "RR"])
@@ -286,6 +287,7 @@ def test_no_ros_on_the_target(without_ros, tmp_path, watching):
         measure(without_ros, runs_of(1), tmp_path / "results", watching)
 
 
+@pytest.mark.root
 def test_what_needs_no_ros_is_measured_without(without_ros, tmp_path, watching):
     baseline = {"suite": "cyclictest", "repetitions": 100}
     (alone,) = plan(Campaign(schema=1, name="test", runs=[baseline]), "test")
@@ -312,6 +314,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", "-l", folder], check=True)
 
 
+@pytest.mark.root
 def test_a_full_disk_on_the_target(target, tmp_path, watching, wishes, small_disk):
     target = replace(target, work_dir=PurePosixPath(small_disk))
     (target.suites / "lib" / "large").write_bytes(os.urandom(2_000_000))
@@ -319,6 +322,7 @@ def test_a_full_disk_on_the_target(target, tmp_path, watching, wishes, small_dis
         measure(target, runs_of(1), tmp_path / "results", watching)
 
 
+@pytest.mark.root
 def test_a_disk_of_the_target_that_is_full_when_the_suite_ends(target, tmp_path, watching, wishes, small_disk):
     """The run is whole: that its exit status finds no room must not have it measured again."""
     target = replace(target, work_dir=PurePosixPath(small_disk))
@@ -327,6 +331,7 @@ def test_a_disk_of_the_target_that_is_full_when_the_suite_ends(target, tmp_path,
 
 
 # The program writes so little that the last block takes most of a minute to fill.
+@pytest.mark.root
 @pytest.mark.parametrize("sampler", ["script", pytest.param("program", marks=pytest.mark.slow)])
 def test_a_disk_of_the_target_that_is_full_while_the_suite_runs(
     request, target, tmp_path, watching, wishes, small_disk, sampler
@@ -350,6 +355,7 @@ def test_a_disk_of_the_target_that_is_full_while_the_suite_runs(
     assert written["in_effect"]["observations"] > 0
 
 
+@pytest.mark.root
 def test_a_full_disk_here(target, tmp_path, watching, wishes, small_disk):
     runs = runs_of(2)
 

@@ -184,6 +184,7 @@ def test_a_load_that_does_not_start_is_an_error_of_the_target(target, tmp_path, 
     assert wishes.calls() == []
 
 
+@pytest.mark.root
 def test_a_policy_that_is_not_in_effect_makes_the_run_invalid(target, tmp_path, wishes):
     wishes.will("no policy")
     found = measure_one(target, tmp_path, policy="RR")
@@ -192,6 +193,7 @@ def test_a_policy_that_is_not_in_effect_makes_the_run_invalid(target, tmp_path, 
     assert (found["requested"]["policy"], found["in_effect"]["policy"]) == ("RR", ["OTHER"])
 
 
+@pytest.mark.root
 def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
     entry = {"suite": "cyclictest", "policy": "RR", "priority": 80, "repetitions": 4000, "threads": 2}
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[entry]), "test")
@@ -209,6 +211,7 @@ def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
     assert len(totals) == 2 and min(totals) > 1000
 
 
+@pytest.mark.root
 def test_hwlatdetect_where_the_kernel_has_no_such_tracer(target, tmp_path, monkeypatch):
     monkeypatch.setattr(preparation.inspection, "read_kernel_config", lambda _: gzip.compress(b"CONFIG_FTRACE=y\n"))
     (run,) = runs = plan(Campaign(schema=1, name="test", runs=[{"suite": "hwlatdetect", "duration_s": 3}]), "test")

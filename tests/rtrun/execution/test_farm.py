@@ -206,6 +206,7 @@ def test_what_ctrl_c_cannot_remove_is_said(farm):
     assert not list(farm[0].work_dir.glob("runs/*"))
 
 
+@pytest.mark.root
 def test_a_run_that_is_closed_is_not_measured_again_where_its_board_fails_after_that(farm, capsys):
     """Its folder on the target cannot be removed."""
     left, right = farm

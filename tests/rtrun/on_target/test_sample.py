@@ -188,6 +188,7 @@ def test_program_and_script_print_the_same(sampler_program, tmp_path):
     assert {cpus for _, _, cpus in last.threads["suite"]} == {frozenset({0})}
 
 
+@pytest.mark.root
 def test_program_and_script_count_the_same(sampler_program, tmp_path):
     """Interrupts as a large server has them, of hostile names: no more than the reader takes."""
     lines = [f"{number}: {95 + number} 0 IO-APIC-edge a b\x07_{'y' * 40}" for number in range(600)]
@@ -216,6 +217,7 @@ def test_program_and_script_count_the_same(sampler_program, tmp_path):
     assert {"NMI=5", f"7:b__{'y' * 27}=7"} <= found[0]
 
 
+@pytest.mark.root
 def test_interrupts_of_a_cpu_that_comes_back_online_are_not_new(sampler, tmp_path):
     """/proc/interrupts has a column for each CPU that is online, with all that it ever counted."""
     states = [

@@ -45,6 +45,7 @@ def remove(_process, folder):
     shutil.rmtree(folder)
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("act", [change, end, remove])
 def test_a_library_that_is_gone_when_it_is_fetched(link, two, monkeypatch, act):
     """Its program ended, or its owner wished it: no probe is placed there, and that is reported."""

@@ -69,6 +69,7 @@ def test_it_is_in_a_session_of_its_own(link, scripts, folder):
     assert group == session == (folder / "p.pid").read_text().strip()
 
 
+@pytest.mark.root
 def test_what_has_no_room_for_its_files_is_not_started(link, scripts, folder):
     """Nobody could end it."""
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16k,mode=755", "tmpfs", folder], check=True)

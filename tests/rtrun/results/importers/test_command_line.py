@@ -80,6 +80,7 @@ def test_what_no_command_line_has(words, message):
         asked(words)
 
 
+@pytest.mark.root
 def test_a_command_line_that_rt_tests_cut_is_refused(tmp_path):
     program = shutil.which("cyclictest", path="/usr/bin:/usr/sbin")
     assert program, "apt-get install rt-tests"

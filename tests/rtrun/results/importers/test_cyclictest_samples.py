@@ -50,6 +50,7 @@ def written(tmp_path, text):
     return path
 
 
+@pytest.mark.root
 def test_every_value_of_the_program_is_read_in_its_order(tmp_path):
     text = cyclictest("-t2", "-h", "100")
     path = written(tmp_path, text)
@@ -91,6 +92,7 @@ def test_interrupts_of_the_firmware_stand_behind_the_value(tmp_path):
     assert first.values_ns.tolist() == [5000, 6000]
 
 
+@pytest.mark.root
 def test_every_fifth_value_is_refused(tmp_path):
     path = written(tmp_path, cyclictest("-t1", "-o", "5"))
     with pytest.raises(UsageError, match=r"v.txt:\d+: thread 0: a counter of \d+, expected \d+: .* -o left them out"):

@@ -76,6 +76,7 @@ def test_cyclictest_tells_the_same_in_text_and_json(cyclictest):
         assert "order" in a.left_out[0]
 
 
+@pytest.mark.root
 def test_jitterdebugger_is_read(tmp_path):
     program = shutil.which("jitterdebugger", path="/usr/bin:/usr/sbin")
     assert program, "apt-get install jitterdebugger"
