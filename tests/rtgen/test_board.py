@@ -224,6 +224,7 @@ def test_ram_disk_gets_modules_unpacked(some_kernel: kernel.KernelFiles) -> None
     assert some_kernel.loadable(["packed"]) == {"plain.ko": b"as it is", "packed.ko": b"was packed"}
 
 
+@pytest.mark.root
 def test_ram_disk_is_read_by_cpio(tmp_path: Path) -> None:
     packed = initrd.archive(b"busybox!", {"b.ko": b"second", "a.ko": b"first?"})
     subprocess.run(["cpio", "-id", "--quiet", "--no-absolute-filenames"], input=packed, cwd=tmp_path, check=True)
@@ -258,6 +259,7 @@ def test_user_without_namespaces_is_told_what_to_do(tmp_path: Path, monkeypatch:
         debian.extraction_mode()
 
 
+@pytest.mark.root
 def test_package_that_does_not_exist_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The real mmdebstrap fails; the error is one line, its files are gone."""
     temporary = tmp_path / "tmp"

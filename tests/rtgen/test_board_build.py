@@ -40,6 +40,7 @@ def test_board_is_whole_and_its_name_points_into_the_cache(tmp_path: Path) -> No
     assert link.lstat().st_ino == before
 
 
+@pytest.mark.root
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_interrupted_build_leaves_nothing(tmp_path: Path, how: signal.Signals) -> None:
     place, temporary = tmp_path / "cache", tmp_path / "tmp"

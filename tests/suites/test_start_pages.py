@@ -134,6 +134,7 @@ def test_i_have_nodes(checkout: Path, sshd: Sshd, cmd_vel: None) -> None:
     assert "messages /cmd_vel " in printed.partition("$ rtrun verdict")[2]
 
 
+@pytest.mark.root
 def test_i_build_images(checkout: Path, sshd: Sshd) -> None:
     printed = follow("images.md", checkout, sshd.user)
     assert "config.gz: " in printed and "options" in printed.partition("config.gz: ")[2]

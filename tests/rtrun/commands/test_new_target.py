@@ -37,6 +37,7 @@ def options(sshd):
     return ["--host", "127.0.0.1", "--port", str(sshd.port), "--user", sshd.user, "--key", str(sshd.key)]
 
 
+@pytest.mark.root
 @pytest.mark.sshd
 def test_by_options(home, options, shown, sshd, capsys, monkeypatch):
     status = main(["new-target", *options, "--host-key", shown, "--name", "board"])

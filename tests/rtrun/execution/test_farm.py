@@ -188,6 +188,7 @@ def test_ctrl_c_leaves_nothing_on_any_board(farm):
     assert closed() == {}
 
 
+@pytest.mark.root
 def test_what_ctrl_c_cannot_remove_is_said(farm):
     words, process = begun_on_all(farm)
     (folder,) = farm[0].work_dir.glob("runs/*/*")

@@ -134,6 +134,7 @@ def test_nothing_stays_of_a_run_that_is_not_closed(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.root
 def test_run_directories_that_belong_together_are_all_there_or_none_is(tmp_path):
     """The disk is full when the second one is written, and has room for all the next time."""
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k,mode=755", "tmpfs", tmp_path], check=True)

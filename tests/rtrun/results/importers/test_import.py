@@ -59,6 +59,7 @@ def cyclictest(tmp_path_factory):
             return folder
 
 
+@pytest.mark.root
 def test_cyclictest_tells_the_same_in_text_and_json(cyclictest):
     text, data = read(cyclictest / "run.txt"), read(cyclictest / "run.json")
     assert [one.name for one in text] == [one.name for one in data] == ["cyclictest-t0", "cyclictest-t1"]
