@@ -27,7 +27,7 @@ def start(prog: str, description: str, groups: Mapping[str, Sequence[str]], argv
     try:
         from rtfiles.command import dispatch
 
-        word = (sys.argv[1:] if argv is None else argv)[:1]
+        word = [*(sys.argv[1:] if argv is None else argv)][:1]
         commands = [name for names in groups.values() for name in names]
         asked = [name for name in commands if [name.rstrip("_").replace("_", "-")] == word]
         modules = commands_of(prog, asked or commands)  # --help, and what says that a word is wrong, name all of them
