@@ -98,11 +98,12 @@ def _join(board: str, trials: Sequence[Trials]) -> Boot:
     placed = [(run, int(start)) for of_run, start in zip(outputs.values(), starts, strict=False) for run in of_run]
 
     def high_at(limit: int) -> Int64s:
-        return _ascending([run.high_at[run.high_ns >= limit] + start for run, start in placed])
+        return _ascending([run.high_at[run.high_ns >= limit] + start for run, start in placed if run.high_at.size])
 
-    limit = high_limit(trials)
-    heights = np.concatenate([run.high_ns for run in trials])
-    most = min(heights.size, high_values(sum(run.n for run in trials)))
+    ordered = [run for run in trials if run.high_at.size]
+    limit = high_limit(ordered)
+    heights = np.concatenate([np.empty(0, np.int64), *(run.high_ns for run in ordered)])
+    most = min(heights.size, high_values(sum(run.n for run in ordered)))
     highest = int(np.partition(heights, heights.size - most)[heights.size - most]) if most else limit
     return Boot(
         board=board,

@@ -27,13 +27,14 @@ class Trials:
     """What one output of one run says about one deadline: how many came late or never, and where.
 
     ``late`` measurements exceeded the deadline, ``absent`` were not fired or went missing: they met no deadline
-    either. ``misses`` holds both by position; None where a log kept no order. ``missed_at`` are their loop positions,
-    int64 (k,), of many only every ``stride``-th. ``level`` holds where the run passed a lower level often enough (about
-    200 times) to show whether its high values come in bursts; ``high_at`` and ``high_ns`` are the places and the
-    heights of these, int64 (h,). ``worst_ns`` is the highest value seen. ``unclear`` of the late ones lie in the bin of
-    a histogram that holds the deadline, or within a step of the clock below it, and may have met it. ``episodes`` are
-    those of misses near one another; None where no order was kept. ``run``, ``boot``, ``board`` and ``start_time`` say
-    where it belongs; "" where that is not known.
+    either. ``misses`` holds both by position; None where a log kept no order. ``missed_at`` are their loop
+    positions, int64 (k,), of many only every ``stride``-th. ``level`` holds where the run passed a lower level
+    often enough (about 200 times) to show whether its high values come in bursts; ``high_at`` and ``high_ns`` are
+    the places and the heights of these, int64 (h,); what kept no order has no places. ``worst_ns`` is the highest
+    value seen. ``unclear`` of the late ones lie in the bin of a histogram that holds the deadline, or within a step
+    of the clock below it, and may have met it. ``episodes`` are those of misses near one another; None where no
+    order was kept. ``run``, ``boot``, ``board`` and ``start_time`` say where it belongs; "" where that is not
+    known.
     """
 
     n: int
@@ -177,7 +178,7 @@ def loop_positions(of_samples: Int64s, absent: Int64s) -> Int64s:
 def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: int = 0) -> Trials:
     """Count what missed the deadline in a histogram: all in the bin that holds the deadline, unless it ends the bin.
 
-    Raises ValueError when the deadline lies in the overflow.
+    Its high values have heights and no places. Raises ValueError when the deadline lies in the overflow.
     """
     top = int(histogram.values_ns[-1]) if histogram.values_ns.size and not histogram.overflow else histogram.max_ns
     return Trials(
@@ -188,7 +189,16 @@ def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: in
         missed_at=_NONE,
         level=None,
         high_at=_NONE,
-        high_ns=_NONE,
+        high_ns=_highest_of(histogram, _LEVEL_EVENTS),
         worst_ns=top,
         unclear=histogram.unclear(deadline_ns),
     )
+
+
+def _highest_of(histogram: Histogram, number: int) -> Int64s:
+    """The highest values of a histogram, int64 of shape (at most `number`,): of each the lower edge of its bin."""
+    beyond = min(number, histogram.overflow)
+    edges, counts = histogram.values_ns[::-1], histogram.counts[::-1]
+    inside = np.minimum(np.cumsum(counts), number - beyond)
+    overflown = np.full(beyond, histogram.overflow_from_ns or histogram.max_ns or 0, np.int64)
+    return np.concatenate((overflown, np.repeat(edges, np.diff(inside, prepend=0))))

@@ -8,15 +8,19 @@ import pytest
 from rtrun.analysis.account import Account
 from rtrun.analysis.constancy import examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
+from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.trends import find_climb, levels_ns
-from rtrun.analysis.trials import Trials, count_misses
+from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.plan.question import Question, read_tolerance
 
 DEADLINE = 400_000
 
 
-def run_of(values: np.ndarray, run: int, boot: int) -> Trials:
-    trials = count_misses(values.astype(np.int64), DEADLINE)
+def run_of(values: np.ndarray, run: int, boot: int, *, in_order: bool = True) -> Trials:
+    samples = values.astype(np.int64)
+    trials = count_misses(samples, DEADLINE)
+    if not in_order:
+        trials = count_misses_in_histogram(from_samples(samples), DEADLINE)
     return replace(trials, run=str(run), boot=str(boot), start_time=f"{run:04}")
 
 
@@ -33,9 +37,9 @@ def is_seen(runs: list[Trials]) -> bool:
     return constancy.change is not None
 
 
-def climbing(step_us: float, boots: int = 10) -> list[Trials]:
+def climbing(step_us: float, boots: int = 10, *, n: int = 5000, in_order: bool = True) -> list[Trials]:
     rng = np.random.default_rng(1)
-    return [run_of(around(rng, 390 - step_us * (boots - 1 - k), 5000), k, k) for k in range(boots)]
+    return [run_of(around(rng, 390 - step_us * (boots - 1 - k), n), k, k, in_order=in_order) for k in range(boots)]
 
 
 @pytest.mark.parametrize("step_us", [2, 25, 40])
@@ -44,6 +48,15 @@ def test_boots_that_climb_prove_nothing(step_us: float) -> None:
     assert verdict.answer is Answer.NEEDS_MORE
     assert verdict.change is not None and verdict.change.text == "high values are higher in later boots"
     assert verdict.climbs[0].reached_after == pytest.approx((400 - 394) / step_us, abs=1.5)
+
+
+@pytest.mark.parametrize("n", [80, 5000])
+def test_histograms_of_boots_that_climb_prove_nothing(n: int) -> None:
+    """They keep no order within a run; the order of the runs is known."""
+    verdict = answer(climbing(25, n=n, in_order=False))
+    assert verdict.answer is Answer.NEEDS_MORE
+    assert verdict.change is not None and verdict.change.text == "high values are higher in later boots"
+    assert answer(climbing(0, n=5000, in_order=False)).answer is Answer.IF_INDEPENDENT
 
 
 def test_a_climb_far_below_the_deadline_takes_no_answer_away() -> None:
