@@ -87,7 +87,7 @@ TEST(Allocations, NoneInTheOneshotLoop) {
   ended = true;
   spinner.join();
   EXPECT_EQ(samples.size(), 3000u);
-  EXPECT_EQ(not_fired.count(), 1500);  // more than are listed
+  EXPECT_GE(not_fired.count(), 1500);  // more than are listed; on a busy machine others come too late
   EXPECT_EQ(count, 0);
 }
 

@@ -159,7 +159,8 @@ def judge(account: Account, question: Question) -> Verdict:
         joined, probability=probability, confidence=confidence, deadline_ns=question.deadline_ns
     )
     effect, assumes = _effect(runs, alike, constancy.clusters, question, account.measurements_per_event)
-    confidence_above = of_few(confidence, len(set(boots_of(runs))))
+    boots = len(set(boots_of(runs)))
+    confidence_above = of_few(confidence, boots)
     upper = anytime_upper(misses / effect, n / effect, _shared(confidence_above, account))
     surely = misses
     if unclear := sum(run.unclear for run in runs):
@@ -172,12 +173,17 @@ def judge(account: Account, question: Question) -> Verdict:
     lower = anytime_lower(surely / effect, n / effect, _shared(confidence, account))
     is_constant = constancy.change is None
     late_share = _late_share(question, account)
-    episodes = _episodes(runs, question, account)
+    episodes = _episodes(runs, question, account, confidence_above)
     longest_seen = episodes.most_in_a_row if episodes else 1
     bursts = bursts_asked(question, account.stream_ns, longest_seen)
     per_event = account.measurements_per_event
     # Of streams that are late together each has its part of a burst.
-    asked = replace(question, bursts=bursts.length * per_event if bursts.length > 1 else 1, confidence=confidence_above)
+    asked = replace(
+        question,
+        bursts=bursts.length * per_event if bursts.length > 1 else 1,
+        # What is still to be measured is measured on the boots that were asked for.
+        confidence=of_few(confidence, max(boots, question.boots)),
+    )
     lower, upper = lower * (1 - account.unseen_share), min(1.0, upper + late_share)
     left = replace(
         question, probability=question.probability - late_share, confidence=_shared(confidence_above, account)
@@ -290,7 +296,7 @@ def _units_missing(question: Question, account: Account) -> int | None:
     return None if total is None else total - account.units
 
 
-def _episodes(runs: Sequence[Trials], question: Question, account: Account) -> Episodes | None:
+def _episodes(runs: Sequence[Trials], question: Question, account: Account, confidence: float) -> Episodes | None:
     """The episodes of misses, which are judged as misses are: with the dependence that is between them.
 
     There is no bound where attempts were lost or load hid a part of the time, which may hold any number of them.
@@ -308,7 +314,7 @@ def _episodes(runs: Sequence[Trials], question: Question, account: Account) -> E
         single = replace(question, tolerance=NONE_TOLERATED)
         effect, _ = _effect(begun, alike, (), single, account.measurements_per_event)
         n, count = sum(each.n for each in alike), sum(each.misses for each in alike)
-        bound = per_hour(anytime_upper(count / effect, n / effect, question.confidence), account.stream_ns)
+        bound = per_hour(anytime_upper(count / effect, n / effect, confidence), account.stream_ns)
     longest_loops = max(each.longest_loops for each in found)
     return Episodes(
         seen=sum(each.begun.count for each in found),

@@ -57,10 +57,10 @@ def boots():
 
 
 def test_one_group_is_proven_and_one_refuted_on_two_boots(campaign, wishes, capsys):
-    words = campaign([1000, 2000])
+    words = campaign([1000, 2000], probability="0.032")
     assert main(words) == 0
     out = capsys.readouterr().out
-    # 183 measurements without a miss prove P < 0.02: two runs of 100.
+    # 185 measurements on two boots without a miss prove P < 0.032: two runs of 100.
     assert sorted(call.split()[1] for call in wishes.calls()) == ["1000"] * 2 + ["2000"] * 2
     assert re.search(r"NEEDS MORE  cyclic_timer .*1 of 2 boots; about \d+ s left", out), out
     end = out.partition("confidence 0.95, on at least 2 boots")[2]

@@ -257,14 +257,15 @@ def test_a_goal_is_reached_by_all_boards_together(farm, capsys):
     words = command(
         farm,
         "order: interleaved\nseed: 3\nruns: [{suite: cyclic_timer_tests, frequency_hz: 100, repetitions: 42}]\n"
-        "until: {deadline: 10s, probability: 0.03, at_most: 1h}\n",
+        "until: {deadline: 10s, probability: 0.05, at_most: 1h}\n",
     )
     let_both_begin(*farm)
     assert main(words) == 0
     names = [record["target"]["name"] for record in closed().values()]
     assert set(names) == {"left", "right"}
     assert "PROVEN" in capsys.readouterr().out
-    # At least 40 measurements a run; 123 without a miss prove it, and the other board may have one more run under way.
+    # At least 40 measurements a run; 119 on two boots without a miss prove it, and the other board may have one more
+    # run under way.
     assert len(names) <= 5
 
 

@@ -165,14 +165,14 @@ def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
         "a proof covers misses that come singly"
     )
     assert [line.split(":")[0] for line in bursts] == ["to cover bursts of 5 (bursts", "to cover bursts of 20 (bursts"]
-    # Each of the 15 rounds of 250 s is a boot.
-    assert load.startswith("a load that comes every 42 s or oftener comes back five times within the runs of a boot")
-    assert longer == "for a slower one make the runs longer (repetitions), every 60 s: 1.4 times, every 600 s: 14 times"
-    # 15 rounds of two runs with 0.6 s each to start and end, and 14 restarts of 60 s.
-    times = "about 2 h 19 min, of which 2 h 05 min are measuring"
-    assert best == f"without a miss: PROVEN after 15 rounds and 14 restarts, {times}"
+    # Two of the 18 rounds of 250 s are a boot.
+    assert load.startswith("a load that comes every 83 s or oftener comes back five times within the runs of a boot")
+    assert longer == "for a slower one make the runs longer (repetitions), every 600 s: 7.2 times"
+    # 18 rounds of two runs with 0.6 s each to start and end, and 8 restarts of 60 s.
+    times = "about 2 h 38 min, of which 2 h 30 min are measuring"
+    assert best == f"without a miss: PROVEN after 18 rounds and 8 restarts, {times}"
     assert assumed.startswith(
-        "if 1e-07 of all measurements miss it: PROVEN after 38 rounds and 37 restarts nine times "
+        "if 1e-07 of all measurements miss it: PROVEN after 52 rounds and 25 restarts nine times "
     )
     assert main(["plan", str(path), "--assume-rate", "1e-6"]) == 0
     assert "no number of measurements is likely to decide it" in capsys.readouterr().out
@@ -221,16 +221,16 @@ def test_the_plan_for_programs(tmp_path, capsys):
     assert data["total_s"] == data["measuring_s"] + data["settling_s"] + data["start_and_end_s"]
     assert data["total_s"] == pytest.approx(SET_UP_S + sum(run.total_s for run in runs))
     assert data["goal"]["deadline_ns"] == 400_000
-    assert data["goal"]["slowest_load_s"] == pytest.approx(250.002 / 6)
+    assert data["goal"]["slowest_load_s"] == pytest.approx(2 * 250.002 / 6)
     assert data["goal"]["forecasts"] == [
         {
             "assumed_rate": 0.0,
             "answer": "PROVEN",
             "outlook": {
-                "rounds": 15,
-                "boots": 15,
-                "measuring_s": pytest.approx(7500.06),
-                "total_s": pytest.approx(8359.56),
+                "rounds": 18,
+                "boots": 9,
+                "measuring_s": pytest.approx(9000.072),
+                "total_s": pytest.approx(9503.172),
             },
         },
         {"assumed_rate": 1e-6, "answer": None, "outlook": None},
