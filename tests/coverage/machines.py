@@ -206,7 +206,7 @@ def written(tables: Tables, text: str) -> str:
         head = (
             f"{PARTIAL} These tables rest on {rests_on}.\n"
             f"A full run has {HAZARD_LEAST} of each hazard, and {PAIRS_SHOWN} pairs with {PAIR_LEAST} at the edge. "
-            f"This one lacks: {'; '.join(lacking[:3])}{' ...' if len(lacking) > 3 else ''}."
+            f"This one lacks: {'; '.join(lacking[:3])}{' and more' if len(lacking) > 3 else ''}."
         )
     else:
         head = f"A full run: {rests_on}."

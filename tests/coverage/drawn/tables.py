@@ -147,18 +147,23 @@ class Tables:
                 "|---|---|---|---|---|",
                 *(f"| {name} | {' | '.join(map(str, shares))} |" for name, shares in self.hazard_rows()),
                 "",
-                f"| the worst {PAIRS_SHOWN} pairs with {least} machines at the edge or more | PROVEN | REFUTED |",
-                "|---|---|---|",
-                *(
-                    f"| {name} | {' | '.join(map(str, shares))} |"
-                    for name, shares in self.pair_rows(least)[:PAIRS_SHOWN]
-                ),
+                *self._text_of_pairs(least),
                 "",
                 f"| the worst {WORST_SHOWN}, by seed | hazards | answer | truth, in parts of what is asked |",
                 "|---|---|---|---|",
                 *map(_worst_row, self.worst()),
             ]
         )
+
+    def _text_of_pairs(self, least: int) -> list[str]:
+        rows = self.pair_rows(least)[:PAIRS_SHOWN]
+        if not rows:
+            return [f"No pair of hazards has {least} machines at the edge yet."]
+        return [
+            f"| the worst {PAIRS_SHOWN} pairs with {least} machines at the edge or more | PROVEN | REFUTED |",
+            "|---|---|---|",
+            *(f"| {name} | {' | '.join(map(str, shares))} |" for name, shares in rows),
+        ]
 
 
 def _worst_row(line: Line) -> str:
