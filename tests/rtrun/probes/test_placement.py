@@ -76,6 +76,7 @@ def test_a_library_that_is_gone_when_it_is_fetched(link, two, monkeypatch, act):
     }
 
 
+@pytest.mark.root
 def test_a_program_that_ended_before_its_library_is_looked_at(link, two):
     honest, elusive, folder = two
     found = find(link, honest.pid, elusive.pid)
