@@ -87,8 +87,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if is_building and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(BUILD_S))
         is_traced = (group_of(item) or "").endswith("trace")
-        if os.geteuid() != 0 and (is_traced or item.get_closest_marker("root")):
-            item.add_marker(pytest.mark.skip(reason="needs root"))
+        root = item.get_closest_marker("root")
+        if os.geteuid() != 0 and (is_traced or root):
+            why = root.args[0] if root and root.args else "needs root"
+            item.add_marker(pytest.mark.skip(reason=why))
         if is_traced and not sees_pids_of_the_kernel():
             item.add_marker(
                 pytest.mark.skip(reason="a container with pids of its own: the kernel traces those of its host")

@@ -144,13 +144,13 @@ def wanted(done: Container[int], only: str | None, tables: Callable[[int], Table
         if only and only not in names:
             continue
         counts.update(names)
-        of_pairs[tuple(names)] += 1
+        of_pairs[names] += 1
         if seed not in done:
             yield seed
     worst = set() if only else tables(seed - _IN_WORK_MAX).worst_pairs()
     while any(of_pairs[pair] < _OF_A_PAIR for pair in worst):
         seed = next(seeds)
-        pair = tuple(hazards_of(seed))
+        pair = hazards_of(seed)
         if pair in worst and of_pairs[pair] < _OF_A_PAIR:
             of_pairs[pair] += 1
             if seed not in done:

@@ -11,7 +11,7 @@ from rtrun.targets import deploy
 
 OTHER = 65534
 PYTHON = shutil.which("python3", path="/usr/bin:/usr/local/bin") or sys.executable
-pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="becomes another user")
+pytestmark = pytest.mark.root("becomes another user")
 # As su, which waits for a password, and sudo, which takes all rights at once.
 GAINS = """
 #define _GNU_SOURCE

@@ -16,7 +16,7 @@ from rtrun.archive import store
 from rtrun.targets.inspection import work_folder
 
 OTHER = 65534
-pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="gives folders to other users")
+pytestmark = pytest.mark.root("gives folders to other users")
 
 
 def acl(permissions):

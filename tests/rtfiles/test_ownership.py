@@ -12,7 +12,7 @@ from rtfiles.errors import UsageError
 from rtrun.results import run_directory
 from rtrun.targets.inspection import work_folder
 
-pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="gives folders to other users")
+pytestmark = pytest.mark.root("gives folders to other users")
 
 OTHER = 12345
 

@@ -270,7 +270,7 @@ def test_what_a_killed_publisher_left_is_replaced(bench: Bench, domain: int) -> 
     check_counts(bench, "ct_gnuplot_l20_fq1000_pl0", "futex")
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user")
+@pytest.mark.root("gives a file to another user")
 @pytest.mark.parametrize("role", ["publisher", "subscriber"])
 def test_shared_memory_of_another_user_is_not_used(bench: Bench, domain: int, role: str) -> None:
     """He holds its lock, and the sizes in it are of his choice: zero slots, which end whoever divides by them."""

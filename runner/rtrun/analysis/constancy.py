@@ -96,11 +96,12 @@ def _join(board: str, trials: Sequence[Trials]) -> Boot:
         outputs.setdefault(run.run or str(index), []).append(run)
     starts = np.cumsum([0, *(max(run.n for run in of_run) for of_run in outputs.values())])
     placed = [(run, int(start)) for of_run, start in zip(outputs.values(), starts, strict=False) for run in of_run]
+    with_places = [(run, start) for run, start in placed if run.high_at.size]
+    ordered = [run for run, _ in with_places]
 
     def high_at(limit: int) -> Int64s:
-        return _ascending([run.high_at[run.high_ns >= limit] + start for run, start in placed if run.high_at.size])
+        return _ascending([run.high_at[run.high_ns >= limit] + start for run, start in with_places])
 
-    ordered = [run for run in trials if run.high_at.size]
     limit = high_limit(ordered)
     heights = np.concatenate([np.empty(0, np.int64), *(run.high_ns for run in ordered)])
     most = min(heights.size, high_values(sum(run.n for run in ordered)))
@@ -245,7 +246,7 @@ def _effect_alone(boot: Boot) -> float:
 
 
 def _alone(boots: Sequence[Boot], probability: float, confidence: float) -> list[Change]:
-    """Boots that miss oftener than `probability` on their own: their average with others is no answer."""
+    """Boots that miss more often than `probability` on their own: their average with others is no answer."""
     if len(boots) < 2:
         return []
     changes = []

@@ -161,7 +161,8 @@ def judge(account: Account, question: Question) -> Verdict:
     effect, assumes = _effect(runs, alike, constancy.clusters, question, account.measurements_per_event)
     boots = len(set(boots_of(runs)))
     confidence_above = of_few(confidence, boots)
-    upper = anytime_upper(misses / effect, n / effect, _shared(confidence_above, account))
+    of_measured = _shared(confidence_above, account)
+    upper = anytime_upper(misses / effect, n / effect, of_measured)
     surely = misses
     if unclear := sum(run.unclear for run in runs):
         # What may have met the deadline counts as late for a proof, and as in time for a refutation.
@@ -185,9 +186,7 @@ def judge(account: Account, question: Question) -> Verdict:
         confidence=of_few(confidence, max(boots, question.boots)),
     )
     lower, upper = lower * (1 - account.unseen_share), min(1.0, upper + late_share)
-    left = replace(
-        question, probability=question.probability - late_share, confidence=_shared(confidence_above, account)
-    )
+    left = replace(question, probability=question.probability - late_share, confidence=of_measured)
     covered = longest_burst(misses, n, effect, left) / per_event if left.probability > 0 else 0.0
     covered = covered and max(1.0, covered)
     refused = _refusal(question, account)

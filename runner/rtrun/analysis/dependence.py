@@ -54,10 +54,10 @@ def pool(parts: Iterable[Events]) -> Events:
 def design_effect(*parts: Events) -> float:
     """Variance of the number of events over that of independent ones (Kish 1965), at least 1.
 
-    Each part has its own share of events, of which alone it is said how they scatter: where parts have the same, pool
-    them. The effect is the largest index of dispersion of block counts over all block lengths that leave 16 blocks,
-    among those that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed only once in two hundred
-    times. For independent bursts of size S it tends to E[S^2]/E[S].
+    How events scatter is measured in each part by its own share of them; pool parts whose shares are the same. The
+    effect is the largest index of dispersion of block counts over all block lengths that leave 16 blocks, among those
+    that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed only once in two hundred times. For
+    independent bursts of size S it tends to E[S^2]/E[S].
     """
     parts = tuple(part for part in parts if 0 < part.count < part.loops)
     n, k = sum(part.loops for part in parts), sum(part.count for part in parts)

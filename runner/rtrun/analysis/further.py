@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtrun.analysis.distributions import beta_above, beta_below, poisson_quantile
-from rtrun.analysis.intervals import anytime_interval, anytime_upper, is_upper_below, of_few
+from rtrun.analysis.intervals import anytime_lower, anytime_upper, is_upper_below, of_few
 from rtrun.analysis.search import where_one
 from rtrun.plan.question import Question, bursts_asked
 
@@ -78,7 +78,7 @@ def plan_measurements(
             misses = effect * poisson_quantile(LIKELY, rate * total / effect)
             return proves(misses, total, effect, question)
         misses = max(0, poisson_quantile(1 - LIKELY, rate * total / effect) - 1)
-        return anytime_interval(misses, total / effect, asked)[0] > question.probability
+        return anytime_lower(misses, total / effect, asked) > question.probability
 
     total = smallest(decided, 0)
     return None if total is None else (rate < question.probability, total)

@@ -120,7 +120,7 @@ class Visits:
 
 
 def find_visits(positions: Int64s, loops: int) -> Visits:
-    """When events at ascending positions, int64 (k,), came oftener than on average, and then seldomer again.
+    """When events at ascending positions, int64 (k,), came more often than on average, and then less often again.
 
     The number of events so far, less what an even rate gives, rises while there are more of them, and falls while there
     are fewer. A rise or fall of at least a quarter of its range is one of level, if it is more than chance makes:

@@ -182,8 +182,8 @@ def _load_lines(slowest_s: float | None) -> Iterator[str]:
     if slowest_s is None:
         return
     yield (
-        f"a load that comes every {slowest_s:.2g} s or oftener comes back five times within the runs of a boot: it can "
-        "be judged, a slower one counts as a change"
+        f"a load that comes every {slowest_s:.2g} s or more often comes back five times within the runs of a boot: it "
+        "can be judged, a slower one counts as a change"
     )
     times = {load_s: load_s / slowest_s for load_s in LOADS_S if load_s > slowest_s}
     longer = [f"every {load_s} s: {factor:.{int(factor < 10)}f} times" for load_s, factor in times.items()]

@@ -87,14 +87,18 @@ class Tables:
             rows.append((name, [self.share(lines, answer) for lines in (alone, every) for answer in ANSWERS]))
         return rows
 
-    def pair_rows(self, least: int) -> list[tuple[str, list[Share]]]:
-        """Of each pair with at least so many machines at the edge, the worst first."""
+    def _by_pair(self) -> dict[tuple[str, ...], list[Line]]:
+        """The machines with two hazards and no others, by these."""
         by_pair: dict[tuple[str, ...], list[Line]] = {}
         for line in self.lines:
             if len(line["hazards"]) == 2:
                 by_pair.setdefault(tuple(line["hazards"]), []).append(line)
+        return by_pair
+
+    def pair_rows(self, least: int) -> list[tuple[str, list[Share]]]:
+        """Of each pair with at least so many machines at the edge, the worst first."""
         rows = []
-        for pair, lines in by_pair.items():
+        for pair, lines in self._by_pair().items():
             if sum(line["edge"] for line in lines) >= least:
                 rows.append((" + ".join(pair), [self.share(lines, answer) for answer in ANSWERS]))
         return sorted(rows, key=lambda row: -max(lower_bound(each.bare, each.of) for each in row[1]))
@@ -102,14 +106,12 @@ class Tables:
     def worst_pairs(self) -> set[tuple[str, ...]]:
         """The pairs that are shown: those with the most false answers, as shares of the machines they may be of."""
 
+        by_pair = self._by_pair()
+
         def worst_share(pair: tuple[str, ...]) -> float:
             shares = [self.share(by_pair[pair], answer) for answer in ANSWERS]
             return max((each.bare + 0.5) / (each.of + 1) for each in shares)
 
-        by_pair: dict[tuple[str, ...], list[Line]] = {}
-        for line in self.lines:
-            if len(line["hazards"]) == 2:
-                by_pair.setdefault(tuple(line["hazards"]), []).append(line)
         return set(sorted(by_pair, key=worst_share, reverse=True)[:PAIRS_SHOWN])
 
     def worst(self) -> list[Line]:

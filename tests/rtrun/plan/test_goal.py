@@ -166,7 +166,7 @@ def test_the_plan_says_how_long_it_takes(tmp_path, capsys):
     )
     assert [line.split(":")[0] for line in bursts] == ["to cover bursts of 5 (bursts", "to cover bursts of 20 (bursts"]
     # Two of the 18 rounds of 250 s are a boot.
-    assert load.startswith("a load that comes every 83 s or oftener comes back five times within the runs of a boot")
+    assert load.startswith("a load that comes every 83 s or more often comes back five times within the runs of a boot")
     assert longer == "for a slower one make the runs longer (repetitions), every 600 s: 7.2 times"
     # 18 rounds of two runs with 0.6 s each to start and end, and 8 restarts of 60 s.
     times = "about 2 h 38 min, of which 2 h 30 min are measuring"

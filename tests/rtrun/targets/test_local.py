@@ -111,7 +111,7 @@ def test_probe(tmp_path, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out)["target"] == "here (this machine)"
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="takes its rights away from a process of root's")
+@pytest.mark.root("takes its rights away from a process of root's")
 def test_what_needs_root_is_said_in_a_line_each():
     needs = ["rt_priority=50", "irq_cpu=0", "sed"]
     drop = ["prlimit", "--rtprio=0:0", "setpriv", "--reuid=65534", "--clear-groups"]

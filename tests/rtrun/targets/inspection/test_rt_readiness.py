@@ -223,7 +223,7 @@ def test_the_script_needs_nothing_but_a_shell(shell):
     assert {line.split(" ", 2)[2] for line in facts["threads"]} >= {name for name in rt_threads() if name}
 
 
-as_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs a right of root's")
+as_root = pytest.mark.root("needs a right of root's")
 AS_OTHER = pytest.param(["setpriv", "--reuid=65534", "--clear-groups"], marks=as_root)
 
 

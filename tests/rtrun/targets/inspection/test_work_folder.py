@@ -18,7 +18,7 @@ from rtrun.targets.link import Link
 
 TOP = Path(__file__).parents[4]
 OTHER = 12345
-as_root = pytest.mark.skipif(os.geteuid() != 0, reason="gives folders to another user, and becomes him")
+as_root = pytest.mark.root("gives folders to another user, and becomes him")
 CAMPAIGN = "schema: 1\nname: tiny\nruns: [{suite: cyclic_timer_tests, repetitions: 100, frequency_hz: 100}]\n"
 COMMANDS = {
     "probe": ["probe", "--target", "target.yml"],
