@@ -12,7 +12,7 @@ import sys
 import tempfile
 import threading
 from datetime import timedelta
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from rtrun.probes import session
 from rtrun.probes.placement import PlacedProbe, Placement
 from rtrun.results.journal import Journal
 from rtrun.targets import deploy
+from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection.facts import TargetState
 
 pytestmark = pytest.mark.timeout(120)
@@ -339,3 +340,35 @@ def test_a_campaign_whose_results_folder_goes_away(target, tmp_path, monkeypatch
     records = {path.parent.name: json.loads(path.read_text()) for path in results.glob("[0-9]*/run.json")}
     (name,) = [name for name in records if records[name]["suite"] == "observation"]
     check_kept({**records, "001": records[name]}, results)
+
+
+class Endless:
+    """A link to a target that prints more than anybody takes: 2 000 pieces, of which the first cannot be read."""
+
+    def __init__(self):
+        self.address = "a target"
+        self.shell = self
+        self.is_interrupted = False
+
+    def do(self, call):
+        call(self)
+
+    def execute(self, argv, stdin, take, deadline_s, feed):
+        for _ in range(2000):
+            if self.is_interrupted:
+                break
+            take(b"nonsense\n")
+            feed()
+        return 0, ""
+
+    def interrupt(self):
+        self.is_interrupted = True
+
+
+def test_what_nobody_takes_any_more_does_not_hold_the_target():
+    """A busy target may have a minute of events to print when its observation ends."""
+    link = Endless()
+    stream = session.observe(link, PurePosixPath("/x"), Placement(probes=PROBES, refused=()), (), for_s=60)
+    with pytest.raises(TargetError, match="nonsense"):
+        next(stream)
+    assert not link.is_interrupted

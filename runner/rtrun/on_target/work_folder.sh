@@ -137,7 +137,8 @@ why=$(
 mkdir -p "$work/objects" "$work/suites" "$work/runs" "$work/master" 2>/dev/null && [ -w "$work" ] && (: >>"$mark") 2>/dev/null ||
     refuse "readonly $work"
 # A default list of rights, which chmod leaves as it is, gives others what is made there, whatever the umask says.
-probe=$work/.probe
+# Another rtrun may ask the same at the same time.
+probe=$work/.probe-$$
 rmdir "$probe" 2>/dev/null
 mkdir "$probe" || refuse "readonly $work"
 # shellcheck disable=SC2046

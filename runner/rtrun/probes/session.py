@@ -211,11 +211,12 @@ class _Watching:
         if piece == b"":
             return
         while True:
+            # Once it is over nobody takes them any more, and the target must not wait for that with each.
+            is_over = self.is_over.is_set()
             with contextlib.suppress(queue.Full):
-                self._pieces.put(piece, timeout=POLL_S)
+                self._pieces.put(piece, timeout=0.0 if is_over else POLL_S)
                 return
-            if self.is_over.is_set():
-                # Nobody takes them any more.
+            if is_over:
                 with contextlib.suppress(queue.Empty):
                     self._pieces.get_nowait()
 

@@ -147,3 +147,14 @@ def test_nothing_is_made_that_others_can_write_to(target, tmp_path, kind):
         os.umask(before)
     made = list(Path(there.work_dir).rglob("*"))
     assert scripts / "made" in made and all(path.stat().st_mode & 0o022 == 0 for path in made)
+
+
+def test_some_that_ask_at_the_same_time_do_not_disturb_each_other(tmp_path):
+    """As three `rtrun observe` that are started together."""
+    ask = 'for _ in $(seq 40); do sh "$0" "$1"; done'
+    argv = ["sh", "-c", ask, work_folder.SCRIPT, str(tmp_path / "work")]
+    asking = [subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) for _ in range(4)]
+    assert [each.communicate(timeout=100)[0] for each in asking] == [""] * 4
+    assert sorted(path.name for path in (tmp_path / "work").iterdir()) == [
+        ".rt-tests", "master", "objects", "runs", "suites"
+    ]  # fmt: skip
