@@ -1,13 +1,22 @@
-"""Runs that hold the same counts: the same file under another name, for two measurements hardly ever make the same."""
+"""Runs that hold the same measurements, under another name: the same counts, or the same values in the same places."""
 
 import math
 from collections.abc import Sequence
 from itertools import pairwise
 
-from rtrun.analysis.histogram import Histogram
+import numpy as np
+
+from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.analysis.trials import Trials
 
 # A run among ten thousand others has the same counts by chance less often than once in a thousand archives.
 BY_CHANCE = 1e-12
+# The highest values of a run that are compared, and how many of two runs have the same distances: of two measurements
+# with a clock of 1 us and 10 000 loops it is two or three.
+_COMPARED = 64
+SHARED_LEAST = 10
+# A value that more places have is one of a coarse clock, and tells nothing.
+_PLACES_MAX = 1000
 
 
 def chance_of_same_counts(histogram: Histogram) -> float:
@@ -37,3 +46,58 @@ def copies_among(histograms: Sequence[tuple[str, Histogram]]) -> dict[str, str]:
             copies.setdefault(first, second)
             copies[second] = first
     return copies
+
+
+def overlaps_among(trials: Sequence[Trials]) -> dict[str, str]:
+    """Which of these runs, by name, hold a part of what another one holds: each with the name of that.
+
+    A log that was appended to, cut off, shifted or edited is not the same file. But its highest values are as far apart
+    as they were. In a start-up two measurements may be alike: the tenth that has most of them does not count. And where
+    they come in a period, a run is also like itself some time later.
+    """
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(one.run for one in trials))}
+    names = list(numbers)
+    highest = [np.argsort(-one.high_ns, kind="stable")[:_COMPARED] for one in trials]
+    if not highest:
+        return {}
+    heights_ns = np.concatenate([one.high_ns[chosen] for one, chosen in zip(trials, highest, strict=True)])
+    places = np.concatenate([one.high_at[chosen] for one, chosen in zip(trials, highest, strict=True)])
+    runs = np.repeat([numbers[one.run] for one in trials], [chosen.size for chosen in highest])
+    loops = np.zeros(len(names), np.int64)
+    np.maximum.at(loops, [numbers[one.run] for one in trials], [one.n for one in trials])
+
+    first, second = _each_two_alike(heights_ns)
+    # Subscribers of one run have the same moments.
+    told = (runs[first] != runs[second]) | (places[first] != places[second])
+    first, second = first[told], second[told]
+    if not first.size:
+        return {}
+    one, other, distance = runs[first], runs[second], places[first] - places[second]
+    order = np.lexsort((distance, other, one))
+    one, other, distance, first = one[order], other[order], distance[order], first[order]
+    is_new = (np.diff(one) != 0) | (np.diff(other) != 0) | (np.diff(distance) != 0)
+    begins = np.concatenate(([0], np.flatnonzero(is_new) + 1))
+    counts = np.diff(begins, append=one.size)
+    like_itself = np.zeros(len(names), np.int64)
+    own = one[begins] == other[begins]
+    np.maximum.at(like_itself, one[begins[own]], counts[own])
+    overlaps: dict[str, str] = {}
+    many = np.flatnonzero(~own & (counts >= SHARED_LEAST))
+    for begin, count in zip(begins[many].tolist(), counts[many].tolist(), strict=True):
+        a, b, ahead = int(one[begin]), int(other[begin]), int(distance[begin])
+        start, end = max(0, ahead), min(int(loops[a]), int(loops[b]) + ahead)
+        tenths = (places[first[begin : begin + count]] - start) * 10 // (end - start)
+        count -= int(np.bincount(tenths).max())
+        if count >= max(SHARED_LEAST, 2 * int(like_itself[[a, b]].max())):
+            overlaps.setdefault(names[a], names[b])
+            overlaps.setdefault(names[b], names[a])
+    return overlaps
+
+
+def _each_two_alike(values: Int64s) -> tuple[Int64s, Int64s]:
+    """The places of each two values that are equal, the earlier one first; int64 of shape (pairs,)."""
+    order = np.argsort(values, kind="stable")
+    alike = np.split(order, np.flatnonzero(np.diff(values[order])) + 1)
+    pairs = [each[np.stack(np.triu_indices(each.size, 1))] for each in alike if 1 < each.size <= _PLACES_MAX]
+    first, second = np.concatenate(pairs, axis=1) if pairs else np.empty((2, 0), np.int64)
+    return first, second

@@ -15,10 +15,11 @@ from rtrun.analysis.deadline import Verdict, judge
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram
 from rtrun.analysis.startup import StartUp, find_startup, left_out
+from rtrun.analysis.trials import Trials
 from rtrun.analysis.worst_case import worst_case
 from rtrun.evidence.accounts import clock_step_ns, take_account
 from rtrun.evidence.attempts import LostAttempt, lost_attempts
-from rtrun.evidence.duplicates import copies_among
+from rtrun.evidence.duplicates import copies_among, overlaps_among
 from rtrun.judgement.digest import Digest, JudgedDigest, digest
 from rtrun.judgement.groups import Group, key_of, scenario, slowest
 from rtrun.kinds.known import MAIN_2014
@@ -146,7 +147,7 @@ def study(
         ),
         read_again=read_again,
     )
-    same = _same_counts([one for one in digests if isinstance(one, JudgedDigest)])
+    same = _same_measurements([one for one in digests if isinstance(one, JudgedDigest)])
     judged_digests = [one for one in digests if isinstance(one, JudgedDigest) and one.run not in same]
     groups = _grouped([one for one in judged_digests if one.header.main], basis, bounds=bounds)
     return Study(
@@ -161,19 +162,36 @@ def study(
             *(f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete),
             *refused.values(),
             *copies.values(),
-            *(f"{run}: a copy? it and {other} hold the same counts, and neither counts" for run, other in same.items()),
+            *same.values(),
             *(text for run in runs for text in run.left_out),
         ),
     )
 
 
-def _same_counts(digests: Sequence[JudgedDigest]) -> dict[str, str]:
-    """Runs alike, of counts without order, that hold the same as another one: each with the name of that."""
-    alike: dict[str, list[tuple[str, Histogram]]] = {}
+def _same_measurements(digests: Sequence[JudgedDigest]) -> dict[str, str]:
+    """Runs alike that hold what another one holds, by name: each with a line that names both."""
+    counts: dict[str, list[tuple[str, Histogram]]] = {}
+    places: dict[str, list[Trials]] = {}
     for one in digests:
-        if one.trials is not None and one.trials.misses is None:
-            alike.setdefault(key_of(one.header.target, one), []).append((one.run, one.histogram))
-    return {run: other for members in alike.values() for run, other in copies_among(members).items()}
+        if one.trials is None:
+            continue
+        key = key_of(one.header.target, one)
+        if one.trials.misses is None:
+            counts.setdefault(key, []).append((one.run, one.histogram))
+        elif one.header.main:
+            places.setdefault(key, []).append(replace(one.trials, run=one.run))
+    same = {
+        run: f"{run}: a copy? it and {other} hold the same counts, and neither counts"
+        for members in counts.values()
+        for run, other in copies_among(members).items()
+    }
+    for members in places.values():
+        for run, other in overlaps_among(members).items():
+            same[run] = (
+                f"{run}: a copy? a part of it and of {other} is the same, and neither counts: remove one of them, or "
+                "what the other holds already"
+            )
+    return same
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -85,6 +85,8 @@ def sentences(verdict: Verdict) -> list[str]:
     parts += [_reached_in_words(climb) for climb in verdict.climbs if climb.reached_after is not None]
     if verdict.answer == Answer.NEEDS_MORE:
         parts += _more(verdict)
+    elif verdict.answer == Answer.REFUTED:
+        parts += _of_whom(verdict)
     elif verdict.answer in (Answer.PROVEN, Answer.IF_INDEPENDENT):
         parts += _scope(verdict)
     return parts
@@ -198,13 +200,17 @@ def _covered(verdict: Verdict) -> str:
             return f"no stall, for the period is not known ({long}, the default)"
 
 
+def _of_whom(verdict: Verdict) -> list[str]:
+    """The boots, boards and hours that an answer holds for, and those that it does not know."""
+    return _boots(verdict) + [words for each in verdict.unlike if (words := _unlike_in_words(each))]
+
+
 def _scope(verdict: Verdict) -> list[str]:
-    """What a proof holds for: bursts and boots."""
+    """What a proof holds for: bursts, boots, boards, hours and time."""
     more = [f"{amount(verdict, count)} for bursts of {length}" for length, count in verdict.further_for_bursts]
     parts = [f"holds for {held_for(verdict)}" + (f" (without a miss, {', '.join(more)})" if more else "")]
     parts += [f"covers {covered}"] if (covered := _covered(verdict)) else []
-    parts += _boots(verdict)
-    parts += [words for each in verdict.unlike if (words := _unlike_in_words(each))]
+    parts += _of_whom(verdict)
     parts += [_unseen_in_words(climb) for climb in verdict.climbs[:1] if climb.smallest_ns != 0]
     if verdict.unseen_share:
         parts.append(f"holds for the {percent(1 - verdict.unseen_share)} of the time that was seen")

@@ -16,6 +16,7 @@ from drawn.factors import (
     Edge,
     Factor,
     Leak,
+    OfLoops,
     Ramp,
     Rng,
     SlowLoad,
@@ -64,6 +65,11 @@ class Plan:
     copies: int = 0
     is_boot_known: bool = True
     looks: bool = False
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether one miss tells nothing of the next one, within a run and from run to run, but for units unlike."""
+        return self.base == "independent" and not any(isinstance(each, OfLoops) for each in self.factors)
 
     @property
     def run_loops(self) -> int:

@@ -205,7 +205,7 @@ class User:
         if self.plan.suite == "histograms" or not self.has_goal:
             words += self.question
         # Who says that values are independent which are not is wrong, whatever the answer.
-        if self.plan.suite == "histograms" and self.plan.base == "independent" and self.machine.seed % 3:
+        if self.plan.suite == "histograms" and self.plan.is_independent and self.machine.seed % 3:
             words.append("--assume-independent")
         status, out, err = call(*words)
         if status not in (0, 1):

@@ -58,3 +58,13 @@ def test_two_streams_of_one_run_with_the_same_times_are_no_copies(tmp_path, caps
     assert main(["verdict", str(tmp_path), *QUESTION]) == 0
     said = capsys.readouterr().out
     assert "b: a copy? it and c hold the same samples" in said and "a: a copy?" not in said
+
+
+def test_a_log_that_was_appended_to_does_not_count_twice(tmp_path, capsys):
+    """As by `tee -a` into one file for all runs: the second holds the first, too."""
+    values = latencies(9000, 1)
+    oneshot_run(tmp_path, "a", values[:4000], attempt="one")
+    oneshot_run(tmp_path, "b", values, attempt="two")
+    assert main(["gate", str(tmp_path), *QUESTION]) == 1
+    said = capsys.readouterr().out
+    assert "a: a copy? a part of it and of b is the same, and neither counts" in said

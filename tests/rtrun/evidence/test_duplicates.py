@@ -1,10 +1,13 @@
 """The same counts under another name are one measurement; the same few counts are not known to be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from rtrun.analysis.histogram import Histogram, from_samples
-from rtrun.evidence.duplicates import BY_CHANCE, chance_of_same_counts, copies_among
+from rtrun.analysis.trials import count_misses
+from rtrun.evidence.duplicates import BY_CHANCE, chance_of_same_counts, copies_among, overlaps_among
 
 
 def measured(seed, n=2000):
@@ -47,3 +50,46 @@ def test_the_chance_is_the_highest_that_any_distribution_gives(counts):
 
 def test_many_bins_make_it_small_enough():
     assert chance_of_same_counts(measured(1)) < BY_CHANCE
+
+
+def trials(run, values_ns):
+    return replace(count_misses(np.asarray(values_ns, np.int64), 10**6), run=run)
+
+
+def draws(seed, n=5000, step_ns=1):
+    return np.random.default_rng(seed).gamma(4.0, 5000.0, n).astype(np.int64) // step_ns * step_ns
+
+
+@pytest.mark.parametrize("step_ns", [1, 1000])
+@pytest.mark.parametrize("change", ["appended to", "cut off", "without its first lines", "each third value changed"])
+def test_a_log_that_was_changed_is_still_the_same_measurement(change, step_ns):
+    """As by `tee -a` into one file for all runs, or by whoever wants one run to count twice."""
+    one, other = draws(1, step_ns=step_ns), draws(2, step_ns=step_ns)
+    copy = {
+        "appended to": np.concatenate((one, draws(3, step_ns=step_ns))),
+        "cut off": one[:3000],
+        "without its first lines": one[1000:],
+        "each third value changed": np.where(np.arange(one.size) % 3 == 0, draws(4, step_ns=step_ns), one),
+    }[change]
+    found = overlaps_among([trials("a", one), trials("b", other), trials("c", copy)])
+    assert found == {"a": "c", "c": "a"}
+
+
+@pytest.mark.parametrize("period", [None, 100, 7])
+@pytest.mark.parametrize("startup", [0, 30, 150])
+@pytest.mark.parametrize("step_ns", [1, 1000, 10_000, 100_000])
+@pytest.mark.parametrize("loops", [200, 5000])
+def test_measurements_alike_are_not_the_same(step_ns, startup, period, loops):
+    """Also with a coarse clock, a period that both have, and a start-up that is the same in both."""
+    runs = []
+    for seed in range(60):
+        values = draws(seed, loops, step_ns)
+        if period:
+            values[::period] += 60_000
+        values[:startup] = 400_000 - 2000 * np.arange(startup)
+        runs.append(trials(str(seed), values))
+    assert overlaps_among(runs) == {}
+
+
+def test_subscribers_of_one_run_share_their_moments():
+    assert overlaps_among([trials("a", draws(1)), trials("a", draws(1))]) == {}
