@@ -97,7 +97,9 @@ lock: setup
 docs: setup
 	$(BIN)/sphinx-build -q --fail-on-warning --keep-going --doctree-dir build/doctrees docs build/docs
 
+# Sentences that have to be read twice, too: tests/words.tsv.
 lint: docs
+	$(BIN)/python tests/words.py
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

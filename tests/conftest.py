@@ -143,7 +143,7 @@ def sshd(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sshd]:
 
 
 def seeing(files: Mapping[str, Path]) -> tuple[str, ...]:
-    """What runs a command that sees each of these files in place of the one at that path. Skips where it cannot."""
+    """What runs a command that sees each of these files instead of the one at that path. Skips where it cannot."""
     mounts = [f'mount --bind "${2 * number + 1}" "${2 * number + 2}"' for number in range(len(files))]
     script = " && ".join([*mounts, f"shift {2 * len(files)}", 'exec "$@"'])
     words = [word for path, file in files.items() for word in (str(file), path)]

@@ -167,7 +167,7 @@ TEST(Middleware, SubscribersThatDoNotComeAreCounted) {
   }
 }
 
-// It would spin with the CPU of those that still read. In a process of its own: a stop is for good.
+// It would spin with the CPU of those that still read. In a process of its own: a stop cannot be undone.
 TEST(Middleware, APublisherThatIsStoppedDoesNotWaitForSubscribers) {
   const auto leave = [] {
     rt_tests::Program program = {"", "", "", {}};

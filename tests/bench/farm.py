@@ -147,7 +147,7 @@ def record_a_run(folder: Path, sshd: Sshd, ros_master: int) -> Path:
 
 
 def injure(farm: Sequence[Board]) -> threading.Thread:
-    """Break links again and again, hang or vanish for good, each on a third of some boards once they measure."""
+    """Break links again and again, hang or vanish forever, each on a third of some boards once they measure."""
 
     def cut(board: Board) -> None:
         for _ in range(4):

@@ -1,4 +1,4 @@
-"""The suites built by the real classes of a profile, with Debian's compiler, CMake and ROS in place of Yocto's own.
+"""The suites built by the real classes of a profile, with Debian's compiler, CMake and ROS instead of Yocto's own.
 
 With ROS 2 they are built for x86-64, on PyPI's wheels, which have rcl and Fast DDS: there is none for ARM.
 """

@@ -87,7 +87,7 @@ def test_fetch_to_install(make_build):
 
 
 def tools_of_this_machine(prefix):
-    """Lines for local.conf: this machine's compiler and a ROS 2 in place of a board's; the wheels have no rclcpp."""
+    """Lines for local.conf: this machine's compiler and a ROS 2 instead of a board's; the wheels have no rclcpp."""
     return (
         f'stub_setup = ". {prefix}/setup.sh"\nstub_compiler = "-DPython3_EXECUTABLE={rtgen.suites.SYSTEM_PYTHON}"\n'
         "EXTRA_OECMAKE:remove = \"-DCMAKE_REQUIRE_FIND_PACKAGE_rclcpp='ON'\"\n"

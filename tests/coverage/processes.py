@@ -1,6 +1,6 @@
 """Processes whose true P(miss) is known, as runs of int64 samples in ns.
 
-Misses lie far above all other values and nothing else in a run hints at them, unless the process is said to be
+Misses lie far above all other values and nothing else in a run hints at them, unless the process is described as
 dependent as a whole.
 """
 
@@ -166,7 +166,7 @@ def heavy_tailed(n: int, p: float, rng: Rng) -> Int64s:
 
 
 def regimes(pieces: int, n: int, rates: Callable[[int], float], rng: Rng) -> list[Int64s]:
-    """So many runs of n loops each, of which each has its own rate of misses."""
+    """So many runs of n loops, each with its own rate of misses."""
     return [independent(n, rates(piece), rng) for piece in range(pieces)]
 
 

@@ -357,7 +357,7 @@ def seen_to_differ(rng: Rng) -> bool:
 
 
 def proven_by_those_that_did_not_hang(rng: Rng) -> bool:
-    """PROVEN after forty runs, of which each is repeated until it does not hang.
+    """PROVEN after forty runs, each repeated until it does not hang.
 
     A run that hangs is late to its end; so many hang that this alone is P(miss).
     """
@@ -434,7 +434,7 @@ def proven_of_a_timer(of: Of, rng: Rng) -> bool:
 
 
 def enough(process: processes.Process, rate: float, as_seen: bool, rng: Rng) -> bool | None:
-    """Whether the number said to be likely enough was; None where none was said, or one too long to simulate.
+    """Whether the number reported as likely enough was; None where none was reported, or one too long to simulate.
 
     `as_seen`: misses go on at the rate that was seen, as the sentence has it; else at the true one.
     """

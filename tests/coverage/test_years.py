@@ -120,7 +120,7 @@ def test_power():
 
 
 def slow_boot(rng):
-    """A month of boots, of which one in 50 is slower by 30 %; the first boot of the build is."""
+    """A month of boots, one in 50 slower by 30 %; the first boot of the build is."""
     kind = partial(years.rare_bad, one_in=50, slower=30)
     old = means_of_units(*years.days(rng, years.normal, 30))
 
@@ -134,7 +134,7 @@ def slow_boot(rng):
 
 
 def burst_of_misses(rng):
-    """A month of boots, of which one in 40 has a burst of 20 misses; the first boot of the build has."""
+    """A month of boots, one in 40 with a burst of 20 misses; the first boot of the build has."""
     old = years.misses_in_bursts(rng, 0.5, 30, length=20)
 
     def another():

@@ -93,7 +93,7 @@ ASKED_MAX = 3
 
 
 class Word(StrEnum):
-    """What a gate says of a build at last; ASKED where it asks for a second boot of it first."""
+    """What a gate finally answers about a build; ASKED where it asks for a second boot of it first."""
 
     ASKED = auto()
     WORSE = auto()
@@ -182,7 +182,7 @@ def miss_alarm_in_a_year(rng: Rng, *, mean: float, misses: Misses = misses_of_bo
 
 
 def build_that_misses_fails(rng: Rng, *, mean: float, times: float, word: Word) -> bool:
-    """Whether that is said of a build that misses so many times as often, against 90 boots."""
+    """Whether that is the answer about a build that misses so many times as often, against 90 boots."""
     level = history.level_of_test(FALSE_ALARMS, 4)
     old = misses_of_boots(rng, mean, 90)
 
@@ -207,7 +207,7 @@ def change_seen(rng: Rng, *, boots: Callable[[Rng, int], Floats], n: int = 120) 
 
 
 def worse_build_fails(rng: Rng, *, shift: float, boots: int, margin: float = 5.0, word: Word = Word.WORSE) -> bool:
-    """Whether that is said of a build that is slower by a shift in percent against 90 boots, with a margin of 5 %."""
+    """Whether that is the answer to a build that is slower by `shift` percent against 90 boots. The margin is 5 %."""
     values = means_of_units(*days(rng, normal, 90 + boots))
     level = history.level_of_test(FALSE_ALARMS, 4)  # of the four figures of a scenario
 
@@ -322,8 +322,8 @@ ROWS = (
             (10, 1, Word.ASKED, "noticed", 0),
             (15, 1, Word.ASKED, "noticed", 40),
             (20, 1, Word.ASKED, "noticed", 90),
-            (15, 1, Word.WORSE, "WORSE at last", 40),
-            (20, 1, Word.WORSE, "WORSE at last", 85),
+            (15, 1, Word.WORSE, "WORSE in the end", 40),
+            (20, 1, Word.WORSE, "WORSE in the end", 85),
             (10, 3, Word.WORSE, "WORSE", 0),
             (15, 3, Word.WORSE, "WORSE", 90),
         )
@@ -335,7 +335,7 @@ ROWS = (
             at_least=least if word is Word.WORSE else 0.0,
         )
         for mean, times, least in ((0.05, 300, 80), (1, 5, 0), (3, 5, 0), (10, 5, 0), (3, 20, 80))
-        for word, said in ((Word.ASKED, "noticed"), (Word.WORSE, "WORSE at last"))
+        for word, said in ((Word.ASKED, "noticed"), (Word.WORSE, "WORSE in the end"))
     ),
     *(
         Row(

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A target that lies in place of watch_probes.sh: what it prints is as the script prints it, and there is no end of it.
+"""A target that lies instead of watch_probes.sh: what it prints is as the script prints it, and there is no end of it.
 
 lying_observer.py LIE
 """

@@ -9,7 +9,7 @@ import pytest
 from rtrun.probes import placement
 from rtrun.targets import deploy
 
-# A folder in place of tracefs: what the kernel would make in a new instance is made by mkdir.
+# A folder instead of tracefs: what the kernel would make in a new instance is made by mkdir.
 MKDIR = f"""#!/bin/sh
 {shutil.which("mkdir")} "$@" || exit
 case $1 in */instances/*) ;; *) exit 0 ;; esac

@@ -232,7 +232,7 @@ def when(machine, script, then):
     return thread
 
 
-# More rows of the cyclic timer stand on the disk than one block of 5 s at 10 Hz: the first block is there for good.
+# More rows of the cyclic timer are on the disk than one block of 5 s at 10 Hz: the first block is complete.
 # A npy has 128 bytes before its rows, a row three numbers of 8 bytes.
 FIRST_BLOCK = f"find /var/lib/rt-tests/runs -name '*.npy.part' -size +{128 + 60 * 3 * 8}c"
 

@@ -49,7 +49,7 @@ def given(path: Path, owner: int = 0, mode: int = 0o755, group: int | None = Non
     return path
 
 
-# What is wrong with a folder, whichever it is on the way, and what is said of it.
+# What is wrong with a folder, anywhere on the way, and the message about it.
 FAULTS = {
     "another user's": ({"owner": OTHER}, "12345"),
     "another user's, who lets nobody else write": ({"owner": OTHER, "mode": 0o700}, "12345"),

@@ -1,4 +1,4 @@
-"""What is wrong with a file is said in our words, with its line and what may have been meant."""
+"""An error in a file is reported in our words, with its line and what may have been meant."""
 
 import math
 import re

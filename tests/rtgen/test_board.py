@@ -1,4 +1,4 @@
-"""The emulated board without booting it: what is generated, and what is said when it cannot be."""
+"""The emulated board without booting it: what is generated, and the message when it cannot be."""
 
 import lzma
 import os

@@ -96,7 +96,7 @@ def test_expert_dropped(data, tree):
     assert mismatches["PREEMPT_RT"] == ("y", "n", "unmet dependency EXPERT (is n)")
 
 
-# What is done to the rendered fragment of the PandaBoard, and what is said of it: wanted, got, and why.
+# What is done to the rendered fragment of the PandaBoard, and the message about it: wanted, got, and why.
 MISTAKES = [
     (r"^CONFIG_HOTPLUG_CPU=y$", "", "HOTPLUG_CPU", "y", "n",
      r"not in mine.cfg; is not set, and its default is n.*PM_SLEEP_SMP \(is n\)"),

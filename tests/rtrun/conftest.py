@@ -18,7 +18,7 @@ def loopback(sshd, tmp_path):
 
 @pytest.fixture
 def rebooting(loopback, tmp_path):
-    """A target whose boot id changes when it is restarted: its sshd sees a file of ours in place of the kernel's."""
+    """A target whose boot id changes when it is restarted: its sshd sees a file of ours instead of the kernel's."""
     boot = tmp_path / "boot_id"
     boot.write_text("00000000-0000-0000-0000-000000000001\n")
 

@@ -279,7 +279,7 @@ def check_rate(record: dict[str, Any], rows: Any) -> None:
 
 
 def check_that_skipped_periods_make_up_the_time(rate: dict[str, Any], periods: int) -> None:
-    """Of a program that was asked for more than it can do, at a real-time policy: another program's turn in place of
+    """Of a program that was asked for more than it can do, at a real-time policy: another program's turn instead of
     its last period would be skipped, but not passed. An overrun may be late by more than what it skips.
     """
     assert rate["achieved_hz"] < 0.99 * rate["asked_hz"] and rate["overruns"] > 0

@@ -56,7 +56,7 @@ def test_built_there_and_measured(
     Path("campaign.yml").write_text(CAMPAIGN.format(domain=free_domain()))
     status = main(["run", "campaign.yml", "--target", target])
     records = [json.loads(path.read_text()) for path in Path("results/built").glob("*/run.json")]
-    # A busy machine keeps a publisher from its rate, which is said.
+    # A busy machine keeps a publisher from its rate, and the report says so.
     invalid = [record["reason"] for record in records if record["status"] != "ok"]
     assert all("_publisher: asked for 50 Hz, achieved " in reason for reason in invalid), invalid
     assert len(records) == 5 and status == (3 if invalid else 0)

@@ -131,7 +131,7 @@ def test_names_of_any_bytes_a_fork_and_a_restart(here, standin, tmp_path, capsys
 
 
 def test_of_20_000_messages_a_second_what_was_seen_adds_up(here, standin, tmp_path, capsys):
-    """However many events there are: then the probes rest, and it is said."""
+    """However many events there are: then the probes pause, and the report says so."""
     with running(standin, 20_000, 10**6, 2 * 10**15, 1000, "/many"):
         topics, rate, printed = _seen(here, tmp_path / "results", 5, capsys)
     assert topics == {"/many": 1}

@@ -73,7 +73,7 @@ def test_every_message_is_accounted_for_and_the_stall_is_named(system, tmp_path,
     fuse, pair = streams["/fuse"], streams["/communication_tests"]
     counts = json.loads((pair / f"{pair.name}.json").read_text())["counts"]
     assert all(process.poll() is None for process in system)
-    # On a busy machine the kernel drops events or the probes rest: what was then is in neither count. What the
+    # On a busy machine the kernel drops events or the probes rest: that period is in neither count. What the
     # subscriber itself has missed by then was lost.
     system[-2].terminate()
     system[-2].wait(60)

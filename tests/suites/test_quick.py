@@ -29,7 +29,7 @@ def quick(tmp_path, monkeypatch, capsys):
 
 
 def kept_from_its_rate(results):
-    """The suites whose programs a busy machine kept from their rate: these runs do not count, and it is said why.
+    """The suites whose programs a busy machine kept from their rate: these runs do not count, and the report says why.
 
     No run may lack anything else.
     """
@@ -51,7 +51,7 @@ def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suit
     assert measured.keys() >= wanted - {name.removesuffix("_tests") for name in late}
     assert all(re.search(rf"^not analysed: .*{name}", printed, re.M) for name in wanted - measured.keys()), printed
     assert ("cyclictest" in measured) == (shutil.which("cyclictest") is not None)
-    # Beside other tests a row may not stay the same: then no P is claimed, and it is said why.
+    # Beside other tests a row may not stay the same: then no P is claimed, and the report says why.
     assert all(f"{row[0]}: no P: " in printed if row[3] == "-" else 0 < float(row[3]) < 1 for row in measured.values())
     assert "in the way of real time: " in printed
     results = tmp_path / "results" / "quick"

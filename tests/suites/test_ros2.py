@@ -185,7 +185,7 @@ def test_what_a_short_history_loses_is_counted(bench: Bench) -> None:
     sender = bench.start(
         "communication_tests_publisher", "-r", "3000", "-f", "1000", "--depth", "1", "--subscribers", "1"
     )
-    while receiver.poll() is None:  # it sleeps most of the time, while messages come of which one is kept
+    while receiver.poll() is None:  # it sleeps most of the time, while messages come and one is kept
         receiver.send_signal(signal.SIGSTOP)
         time.sleep(0.3)
         receiver.send_signal(signal.SIGCONT)

@@ -89,7 +89,7 @@ class Plant:
         return [] if self.kind is None else [(self.kind, self.who), *filter(None, [self.other])]
 
     def is_named(self, culprit: Culprit | None) -> bool:
-        """Whether what was planted is said, or nothing beside nothing."""
+        """Whether what was planted is reported, or nothing beside nothing."""
         if culprit is None:
             return self.kind is None
         return any(culprit.kind is kind and re.fullmatch(who, culprit.name) for kind, who in self.expected)

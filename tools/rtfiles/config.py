@@ -45,7 +45,7 @@ def key_names(model: type[Config]) -> tuple[str, ...]:
 
 
 def matching(pattern: str, allowed: str) -> AfterValidator:
-    """Take a text that is wholly of this form, in ASCII; a message says it is not `allowed`."""
+    """Take a text that is wholly of this form, in ASCII; a message reports that it is not `allowed`."""
 
     def check(value: str) -> str:
         if not re.fullmatch(pattern, value, re.ASCII):

@@ -23,7 +23,7 @@ def install_extra(name: str) -> str:
 def as_called(program: str) -> str:
     """A program of this project as the user has to write it: its name, or its path where the shell would not find it.
 
-    The programs stand beside each other, so that path begins as the one of the running program: `.venv/bin/rtrun`.
+    The programs are next to each other, so that path begins as the one of the running program: `.venv/bin/rtrun`.
     """
     path = Path(sys.argv[0]).with_name(program)
     found = shutil.which(program)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 SHOWN_WORDS = 20
 SHOWN_CHARACTERS = 80
 
-# By type of error of pydantic; the braces name what it says about the limit. What is not here is said as pydantic does.
+# By type of error of pydantic; the braces name what it says about the limit. The rest is reported in pydantic's words.
 _TAKES = {
     "bool_type": "true or false",
     "dict_type": "a mapping of keys to values",

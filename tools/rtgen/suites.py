@@ -249,7 +249,7 @@ def with_ros2(entry: Path, ros2: Path) -> Path:
 
 
 def _environment(temporary: Path) -> dict[str, str]:
-    """What CMake and the compilers are told of a build below a temporary folder."""
+    """Flags of CMake and the compilers for a build below a temporary folder."""
     # Its name changes with every build; ccache has to ignore it.
     environment = {**os.environ, "CMAKE_GENERATOR": "Ninja", "CCACHE_BASEDIR": str(temporary), "CCACHE_NOHASHDIR": "1"}
     if shutil.which("ccache"):

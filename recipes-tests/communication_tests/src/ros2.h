@@ -44,7 +44,7 @@ inline rt_tests::Facts facts_of(const rmw_qos_profile_t* quality) {
   return facts;
 }
 
-// Others may publish on the topic, too: what is too short for a stamp is none of ours.
+// Others may publish on the topic, too: messages too short to hold our stamp are not ours.
 template <class CallBack>
 void deliver(const Message& message, CallBack& call_back) {
   if (message.data.size() >= communication::stamp_bytes) call_back(communication::read_stamp(message.data.data()));

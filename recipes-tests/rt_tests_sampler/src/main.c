@@ -39,7 +39,7 @@ enum {
   STATE_LINES_MAX = 50000,
   /* Of a file of /proc as it is read, and of what is printed at once. */
   TEXT_BYTES_MAX = 16 << 20,
-  /* Numbers of sched_setscheduler(2); the flag may stand beside them. */
+  /* Numbers of sched_setscheduler(2); the flag may be set with them. */
   POLICY_FIFO = 1,
   POLICY_RR = 2,
   POLICY_DEADLINE = 6,

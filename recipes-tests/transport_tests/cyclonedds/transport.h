@@ -39,7 +39,7 @@ struct Transport {
     throw rt_tests::Failure(std::string("Cyclone DDS cannot ") + what + ": " + dds_strretcode(-returned));
   }
 
-  // All threads of Cyclone inherit policy, priority and CPUs: nothing is said of them in its configuration.
+  // All threads of Cyclone inherit policy, priority and CPUs: its configuration has no word about them.
   class Context {
    public:
     Context(int, char*[], const rt_tests::Program&, const rt_tests::Options&) {

@@ -94,7 +94,7 @@ struct Transport {
     qos.history().kind = fast::KEEP_LAST_HISTORY_QOS;
     qos.history().depth = queue;
     qos.resource_limits().max_samples_per_instance = queue;
-    // Else it takes memory for as many messages as it may keep, of which each may have a megabyte.
+    // Else it takes memory for as many messages as it may keep, each of up to a megabyte.
     qos.endpoint().history_memory_policy = fastdds_versions::rtps::DYNAMIC_REUSABLE_MEMORY_MODE;
     return qos;
   }

@@ -143,7 +143,7 @@ struct Transport {
       const uint32_t message = ring.published.load(std::memory_order_relaxed);
       Slot& slot = mapping_.slot(message);
       slot.written.store(0, std::memory_order_relaxed);
-      std::atomic_thread_fence(std::memory_order_release);  // none of the content before that
+      std::atomic_thread_fence(std::memory_order_release);  // no content before that
       std::memcpy(Mapping::content(slot), frame_.data(), frame_.size());
       slot.written.store(message + 1, std::memory_order_release);
       ring.published.store(message + 1, std::memory_order_release);

@@ -29,7 +29,7 @@ _BEYOND = 20
 class ComparisonAnswer(StrEnum):
     """What can be said about two sets.
 
-    RUNS_DIFFER: the runs at hand do, but they are too few, or were not measured in turn, to say so of what they are of.
+    RUNS_DIFFER: the runs at hand do, but they are too few, or were not measured in turn, to speak for all.
     """
 
     DIFFERENT = "DIFFERENT"

@@ -63,7 +63,7 @@ def find_recurrence(places: Int64s, *, begin: int, end: int, values: int, search
     `places` (k,) are those of the highest, the highest first, as many as the largest of `counts_tried`. `searches` is
     the number of searches of which this is one.
 
-    The frequency of the highest power |sum exp(2 pi i f t)|^2 / n is looked for by a fast Fourier transform, for each
+    The frequency of the highest power |sum exp(2 pi i f t)|^2 / n is found by a fast Fourier transform, for each
     count in turn. Its test is the number of points within an arc of the circle of phases (`_chance_of_arc`): of eight
     events the power could not be significant, however exactly they come. A point is the mean of the events of a
     period, because events that come in bursts depend on each other. The p-value is corrected after Bonferroni for

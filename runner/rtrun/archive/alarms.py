@@ -166,7 +166,7 @@ def last_seen(board: BoardHealth) -> str:
 
 
 def _known(place: str, day: date | None, notes: Notes) -> str | None:
-    """What was said of a quarantine since it began; one that begins later is another one."""
+    """The state of a quarantine since it began; one that begins later is another one."""
     return next((note.words for note in notes.known(place, None) if day is None or day <= note.at.date()), None)
 
 

@@ -25,7 +25,7 @@ _PER_100_000 = [round(1000 * p) for p in PERCENTILES]
 _GRID_MAX = 4  # places of a grid for each bin on it
 _GRID_FROM = 4  # histograms: fewer are sorted faster, as each is in order
 _COUNT_MAX = 2**53  # of all bins: above, a double no longer counts one by one
-_KEPT = 64  # row groups, of which each takes 4 MB
+_KEPT = 64  # row groups of 4 MB each
 _NUMBERS = ("value_ns", "bin_ns", "count")
 
 

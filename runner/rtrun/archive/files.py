@@ -152,7 +152,7 @@ def numbers_of(column: "pyarrow.Array[Any]", null: int) -> np.ndarray[tuple[int]
 def check_rows(footer: "FileMetaData", most: int = BINS_MAX) -> "FileMetaData":
     """The footer of a file. Raises ValueError where the file has more rows than `most`.
 
-    The number stands at the end of a file, so what is too much is refused before it is read.
+    The number stands at the end of a file, so too much is refused before it is read.
     """
     if footer.num_rows > most:
         raise ValueError(f"{footer.num_rows} rows, a file of this table has at most {most}")

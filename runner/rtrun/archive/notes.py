@@ -60,7 +60,7 @@ class AcceptNote(NoteHead):
 
 
 class KnownNote(NoteHead):
-    """What got worse before this was said, on these boards and in these scenarios, is known; so is a quarantine where
+    """What got worse before this note, on these boards and in these scenarios, is known; so is a quarantine where
     no scenario is named. It stays WORSE, and nobody is called for it."""
 
     kind: Literal["known"] = "known"

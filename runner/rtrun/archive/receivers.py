@@ -1,4 +1,4 @@
-"""Who is told of alarms, and how: a command, a web hook, a mail.
+"""Who is notified of alarms, and how: a command, a web hook, a mail.
 
 Names of boards and scenarios may be anybody's. So no text of an alarm is part of a command line, of an address or of a
 header: a command has it as standard input, a hook as JSON, a mail as its body.

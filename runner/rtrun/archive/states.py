@@ -20,7 +20,7 @@ SAID = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CourseState:
-    """What is said of a course: `word`, of which figures, the class of its style, and its mark."""
+    """The judgement of a course: `word`, of which figures, the class of its style, and its mark."""
 
     word: str
     style: str

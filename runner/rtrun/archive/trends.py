@@ -45,7 +45,7 @@ class Trend:
 
     @property
     def known(self) -> KnownNote | None:
-        """What was said of it once it had begun; None where it is not known, or did not get worse."""
+        """The note about it once it had begun; None where it is not known, or did not get worse."""
         begun = self.first_after or datetime.max
         return next((note for note in self.course.known if self.is_worse and begun <= note.at), None)
 

@@ -55,7 +55,7 @@ ANOTHER_CLOCK_NS = 3600 * 10**9
 class Outlier:
     """A value above the limit of the run, at a moment of the clock of the samples, and the file that has its trace.
 
-    `tid` is the thread that it came to, where the trace names one.
+    `tid` is the thread that received it, where the trace names one.
     """
 
     run: str

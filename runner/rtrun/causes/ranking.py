@@ -88,7 +88,7 @@ class Ranking:
 
 
 def rank(explained: Iterable[Explained]) -> Ranking:
-    """Rank the culprits by the number of outliers of which each is the main one, then by time."""
+    """Rank the culprits by the number of outliers of which it is the main part, then by time."""
     cut = [one for one in explained if one.parts]
     alike = _alike(cut)
     occurrences: dict[_Identity, list[_Occurrence]] = defaultdict(list)

@@ -35,7 +35,7 @@ _FUTEX_COMMAND = 127
 # signal(7), the numbers of every architecture that Linux has but MIPS, Alpha, PA-RISC and SPARC: SIGCONT, and SIGSTOP,
 # SIGTSTP, SIGTTIN and SIGTTOU.
 _CONTINUING = 18
-# So soon after the threads that it wakes a signal is said.
+# So soon after the threads that it wakes a signal is recorded.
 SIGNALLED_WITHIN_NS = 100_000
 _STOPPING = frozenset({19, 20, 21, 22})
 # While the copy of a trace is written, nothing may be recorded. Only a thread that runs without having been woken shows
@@ -363,7 +363,7 @@ class _Builder:
         return waker if is_timer else waker._replace(held=Why.FROZEN, held_ns=expired_ns)
 
     def _signal(self, event: Signal) -> None:
-        """A signal is said after the threads that it wakes: what they waited for may be before the trace."""
+        """A signal is recorded after the threads that it wakes: what they waited for may be before the trace."""
         if event.number in _STOPPING:
             self.stops.append(event)
             for pid in self.woke.get(event.by_pid, ()):

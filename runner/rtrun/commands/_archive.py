@@ -16,7 +16,7 @@ def add_archive(parser: argparse.ArgumentParser) -> None:
 
 
 def add_deadline(parser: argparse.ArgumentParser) -> None:
-    """The deadline, by default the thesis', and what it is of."""
+    """The deadline, by default the thesis', and the series that it applies to."""
     add_of(parser, "lateness")
     parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
 

@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     values: dict[str, Any] = {"schema": 1, "name": name, "kind": "ssh", "host": host, "user": args.user}
     values |= {"port": args.port, "key": _from_anywhere(key), "host_key": args.host_key}
     values = {key: value for key, value in values.items() if value not in (None, "")}
-    # Before anything is asked of the network: what is wrong in it is said in the words of target files.
+    # Before anything is asked of the network: an error in it is reported in the words of target files.
     parse_target(values, "new-target")
     if not args.host_key:
         address = address_of(host, user=args.user, port=args.port, key=Path(key) if key else None)

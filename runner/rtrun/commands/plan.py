@@ -209,7 +209,7 @@ def _goal_lines(
     )
     share = percent(unlike_share(goal.boots, goal.confidence))
     yield (
-        f"on {counted(goal.boots, 'boot')}: boots of another kind, of which none is measured, may be {share} of all; "
+        f"on {counted(goal.boots, 'boot')}: boots of another kind may be up to {share} of all; "
         f"a proof covers {goal.question.covered}{_default_in_words(goal, runs)}"
     )
     for each in forecasts:

@@ -97,6 +97,6 @@ def _middleware(installed: "Installed", service: "Service", runs: bool) -> str:
 
 
 def _shown(fact: "Fact", absent: str = "unknown") -> str:
-    """A fact in one line; what several CPUs have in common is said once."""
+    """A fact in one line; what several CPUs have in common is printed once."""
     values = [fact] if isinstance(fact, str) else fact or [absent]
     return ", ".join(dict.fromkeys(values))

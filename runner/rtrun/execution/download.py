@@ -17,7 +17,7 @@ JSON_LIMIT_BYTES = 16 * MIB
 LOG_LIMIT_BYTES = 64 * MIB
 NPY_HEADER_BYTES = 64 * 1024
 TRACE_LIMIT_BYTES = 64 * MIB
-# Some lines for each control group, of which one has a path of 4096 characters at most.
+# Some lines for each control group, whose path has 4096 characters at most.
 CGROUPS_LIMIT_BYTES = MIB
 # Traces that a suite keeps of each output.
 TRACES_MAX = 16

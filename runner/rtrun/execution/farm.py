@@ -61,7 +61,7 @@ def measure_on_boards(session: Session, boards: Sequence[Board], next_round: Nex
         if _is_of_this_machine(error) or not isinstance(error, InfrastructureError | KeyboardInterrupt):
             raise error
     if len(work.errors) == len(boards):
-        # What is the matter with all, as a coordinator that does not answer, is said once.
+        # A problem common to all boards, as a coordinator that does not answer, is reported once.
         names: dict[str, list[str]] = {}
         for name, error in work.errors.items():
             if name not in work.said:
@@ -81,7 +81,7 @@ class _FarmThreads:
     def __init__(self, session: Session, allotment: Allotment) -> None:
         self.errors: dict[str, BaseException] = {}
         self.said: set[str] = set()
-        """The boards that left their runs to another one that works, which was said."""
+        """The boards reported to have left their runs to another one that works."""
         self._waiting: dict[str, Callable[[], None]] = {}
         """What says of a board that it left its runs to others, once one of these works."""
         self._working: set[str] = set()

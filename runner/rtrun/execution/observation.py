@@ -55,8 +55,8 @@ class Onlooker:
     """Who looks on while programs are observed, and what for.
 
     `on_second` is called about once a second with the figures so far, `on_end` with all of it. `is_attended`: somebody
-    waits for it. Ctrl-C ends it as its time does then, and what was seen is kept; that nothing can be observed is said
-    at once.
+    waits for it. Ctrl-C ends it as its time does then, and what was seen is kept; where nothing can be observed, that
+    is reported at once.
     """
 
     on_second: Callable[[Snapshot], None] = _ignore

@@ -87,7 +87,7 @@ def prepared(
 ) -> Iterator[Prepared]:
     """Deploy scripts and suites, and see to it that services run while the context lasts, or a run goes on.
 
-    Raises TargetError where none of the runs can be measured.
+    Raises TargetError where no run can be measured.
     """
     target = link.target
     equipment = inspection.inspect(link)

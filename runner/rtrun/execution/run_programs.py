@@ -39,7 +39,7 @@ class RunPrograms:
     texts: Mapping[str, str] = field(default_factory=dict)
     """The files that its programs read, by name: they are put into its folder on the target."""
     need_one_another: bool = False
-    """Whether none of the suite's programs has anything to do once another one has failed."""
+    """Whether no program of the suite has anything to do once another one has failed."""
 
     @property
     def measuring(self) -> tuple[Program, ...]:

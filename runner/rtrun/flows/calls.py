@@ -200,7 +200,7 @@ class CallRecord:
 
 
 def _named(label: str, owner: LivingThing | None) -> tuple[str, str]:
-    """The label of a callback's node, that of its process where its owner is not known, and what it is of."""
+    """The label of a callback's node, that of its process where its owner is not known, and its topic or timer."""
     if isinstance(owner, LivingTimer) and owner.log is not None:
         return owner.log.label, numbered(owner.log.name, owner.log.number)
     if isinstance(owner, Endpoint):

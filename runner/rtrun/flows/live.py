@@ -114,7 +114,7 @@ class _Current:
 
 @dataclass(frozen=True, slots=True)
 class NewValues:
-    """What came to a stream since the last snapshot: values and when each was there, int64 (n,); figures without them.
+    """What a stream received since the last snapshot: values and when each was there, int64 (n,); figures without them.
 
     `source` is that of its Stream.
     """
@@ -129,7 +129,7 @@ class NewValues:
 class LiveFigures:
     """Takes snapshots of an accumulator, each from what came since the one before.
 
-    `on_values` is called with what came to each stream.
+    `on_values` is called with what each stream received.
     """
 
     def __init__(

@@ -29,9 +29,9 @@ class Case:
     misses: int | None = None
     worst_ns: int | None = None
     refused: str | None = None
-    """Why there is no answer, as `text` says it first."""
+    """Why there is no answer: `text` begins with it."""
     reason: str | None = None
-    """What else than its numbers made the answer, "" if nothing did; `text` where it is None."""
+    """What other than its numbers made the answer, "" if nothing did; `text` where it is None."""
     not_accepted: str = ""
     """Why a proof does not pass."""
     changed: tuple[str, ...] = ()
@@ -71,7 +71,7 @@ def gate(
     Of boards that are alike the answer for all of them counts; that of a single board fails only if it is refuted.
     A run that failed, is incomplete or was refused does not pass: what it hides is not known. An attempt that a restart
     of the target cut off is named, and passes when its run was measured again. With `max_page_faults` no program of
-    a suite may have had more while it measured, with `max_allocations` none of those that counted them.
+    a suite may have had more while it measured, with `max_allocations` no program that counted them.
     What asks less than the `goal` of the campaign does not pass.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}

@@ -22,7 +22,7 @@ class Influence:
 
     @property
     def other_nodes(self) -> str:
-        """What stands beside it, in words."""
+        """The other nodes, in words."""
         return str(self.beside.parameters[OTHER_NODES])
 
 

@@ -223,7 +223,7 @@ def _unlike_in_words(unlike: Unlike) -> str:
         return f"measured in {unlike.measured} of the {HOURS} hours of a day" if unlike.measured < HOURS else ""
     if unlike.unit == "boot" or unlike.measured < 2:
         return ""
-    return f"{unlike.unit}s of another kind, of which none was measured, may be {percent(unlike.share)} of all"
+    return f"{unlike.unit}s of another kind may be up to {percent(unlike.share)} of all"
 
 
 def _reached_in_words(climb: Climb) -> str:
@@ -251,7 +251,7 @@ def _boots(verdict: Verdict) -> list[str]:
         return ["the boot of some runs is not known: if all are of one boot, it holds for that one"]
     if verdict.boots == 1:
         return [f"holds for the boot that was measured; for the system measure on {ENOUGH_BOOTS} boots or more"]
-    share = f"boots of another kind, of which none was measured, may be {percent(verdict.unlike_share)} of all"
+    share = f"boots of another kind may be up to {percent(verdict.unlike_share)} of all"
     return [f"measured on {verdict.boots} boots: {share}"]
 
 

@@ -12,7 +12,7 @@ from rtrun.kinds.output import IndexedValues, Record, no_values
 from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, disagree, without
 
 NOT_SEEN_NS = -(2**63)
-"""In place of a time that nothing has seen."""
+"""Instead of a time that nothing has seen."""
 
 
 def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:

@@ -188,7 +188,7 @@ class SenderRecord(ProgramHead):
 
 
 class ExecutorRecord(Config):
-    """A thread of nodes: what was asked of it, when it stopped receiving; `foreign` messages were none of the graph."""
+    """A thread of nodes: what was asked of it, when it stopped receiving; `foreign` messages came from elsewhere."""
 
     name: str
     policy: str
@@ -207,7 +207,7 @@ class HostedNodeRecord(Config):
 
 
 class HostRecord(ProgramHead):
-    """``process-<name>.json``: a process of a topology; its nodes' tables stand beside it."""
+    """``process-<name>.json``: a process of a topology; its nodes' tables are next to it."""
 
     start_ns: TimeNs
     measured_ns: TimeNs

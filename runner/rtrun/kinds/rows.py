@@ -57,7 +57,7 @@ def within_segments(segment: Int64s | None, rows: int) -> NDArray[np.bool_]:
 def not_come(record: Record, measured: int, rows: int, what: str, path: Path) -> Int64s:
     """The number of a value that had not come when the observation ended, beyond its deadline already: int64, 0 or 1.
 
-    `what` says it of more, for the UsageError that is raised then.
+    `what` names them, for the UsageError that is raised then.
     """
     missing = record.counts.missing
     agree(path, "missing", record.counts.asked - measured, missing)

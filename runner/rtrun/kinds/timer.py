@@ -11,7 +11,7 @@ from rtrun.kinds.output import IndexedValues, Record, no_values
 from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, check_wall_times, not_come, within_segments, without
 
 UNKNOWN_NS = -1
-"""In place of the time at which a call was due, where that is not known."""
+"""Instead of the time at which a call was due, where that is not known."""
 _NOT_KNOWN = "when the timer was due is not known: ask for the jitter (--of jitter)"
 
 

@@ -3,7 +3,7 @@
 #   build_suites.sh SOURCES FOLDER PREFIX [SETUP...]
 # SOURCES is a copy of recipes-tests, FOLDER where it works, PREFIX what gets the programs, and the file `built_with` with a
 # line "name value" for what each was built with. SETUP are shell files of ROS; a ROS 1 of the distribution's own packages,
-# which has none, is found in /usr. What is wrong is said in the last lines of standard error.
+# which has none, is found in /usr. Errors are in the last lines of standard error.
 set -u
 export LC_ALL=C
 sources=$1 folder=$2 prefix=$3

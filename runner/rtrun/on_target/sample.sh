@@ -15,7 +15,7 @@
 #   thread PROGRAM TID POLICY PRIORITY CPUS NAME      each thread of the suite
 #   load PROGRAM PROCESSES CPUS                       each background program
 #   rival TID POLICY PRIORITY NAME                    every other thread of its priority or above; one at SCHED_DEADLINE
-#                                                     (policy 6) has RUNTIME_NS/PERIOD_NS, or -, in place of a priority
+#                                                     (policy 6) has RUNTIME_NS/PERIOD_NS, or -, instead of a priority
 #   governor NAME,..    sched_rt_runtime_us NUMBER
 # Ends with the number of ENOSPC where the disk is full: what is printed after a gap would tell something else.
 set -u

@@ -46,7 +46,7 @@ RESERVED = ("prefix", "out_dir", "awaited_subscribers")
 VARIANT_KEYS = ("suites", "ros_setup")
 # It measures no deadline.
 GAP_SEARCH = "hwlatdetect"
-# Of what is observed where nobody says how long.
+# How long to observe where the campaign does not set it.
 OBSERVED_NS = 60 * 10**9
 
 Entry = dict[str, Any]
@@ -91,7 +91,7 @@ class Campaign(Config):
 
     @property
     def has_streams(self) -> bool:
-        """Whether a run leaves several streams with deadlines of their own, in place of what one suite measures."""
+        """Whether a run leaves several streams with deadlines of their own, instead of what one suite measures."""
         return self.subject is not None or self.topology is not None
 
     @property

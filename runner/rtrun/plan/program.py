@@ -15,7 +15,7 @@ class Program:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exit:
-    """How a program ended: its status, or None when something else than the program ended it."""
+    """How a program ended: its status, or None when it was killed."""
 
     status: int | None
     expired: bool

@@ -151,7 +151,7 @@ def may_follow(first: Question, later: Question) -> bool:
 def weaker(goal: Question, asked: Question, bursts_by_default: int = 1) -> tuple[str, ...]:
     """In what a question asks less than a goal, a few words each, or asks something else.
 
-    `bursts_by_default` is what a proof has to cover of what was measured where nobody says how long bursts are.
+    `bursts_by_default` is what a proof has to cover of what was measured where the length of bursts is not set.
     """
     parts = []
     if asked.of != goal.of:
@@ -174,7 +174,7 @@ THESIS = Question()
 
 
 def unlike_share(boots: int, confidence: float) -> float:
-    """The largest share of boots of another kind of which none may have been among so many, at this confidence.
+    """The largest share of boots of another kind that so many boots may all have missed, at this confidence.
 
     None of m boots is of a kind that has the share s with the chance (1 - s)^m; of (1 - confidence) / 2 it is the upper
     end of the interval of Clopper & Pearson (1934) after no event.

@@ -45,7 +45,7 @@ class Run:
     `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
     empty and `kernel` None in a campaign that names none; `variant_of` are the programs of the variant as the campaign
     names them. `trace` is the limit above which it keeps traces as the campaign has it (plan/trace.py), `UNTRACED` for
-    the twin of such a run, and empty where nobody asked for traces. `observation` is what a run observes, `topology`
+    the twin of such a run, and empty where no traces are asked for. `observation` is what a run observes, `topology`
     the graph of nodes that it starts; None, both: the programs of its suite measure.
     """
 

@@ -56,7 +56,7 @@ class Option(Config):
     help: str
     flag: str = ""
     environment: str = ""
-    """The variable by which it is given in place of a flag."""
+    """The variable by which it is given instead of a flag."""
     preload: str = ""
     """The library of rt_tests_sampler that is preloaded into the programs where it has a value."""
     through: Strings = ()
@@ -162,7 +162,7 @@ class Suite(Config):
 
 
 def judged(measures: Sequence[Measure], of: Measure | None) -> Measure:
-    """Which of these a question is of: what it names, or the first one; a latency is the lateness of what it is of.
+    """Which of these a question is of: what it names, or the first one; a latency is the lateness of its subject.
 
     Raises UsageError where none is.
     """

@@ -99,7 +99,7 @@ def too_few(run: Run) -> str | None:
     if quantile(run.trace) is None or run.observation is not None or _repetitions(run) * _above(run) >= 1:
         return None
     return (
-        f"{run.suite} measures {_repetitions(run)} values, of which none is expected above {run.trace}: "
+        f"{run.suite} measures {_repetitions(run)} values; none is expected above {run.trace}: "
         f"trace.above takes repetitions of {math.ceil(1 / _above(run))} or more for it"
     )
 

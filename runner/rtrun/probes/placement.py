@@ -199,7 +199,7 @@ def _is_for(probe: Probe, symbols: Mapping[str, LibrarySymbols | NotProbed]) -> 
 
 
 def line_of(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without: str) -> str | NotProbed:
-    """What tracefs is told of a probe."""
+    """The line that defines a probe in tracefs."""
     values = probe.arguments.get(symbols.architecture)
     if values is None:
         return NotProbed(f"nothing is known of its arguments on {symbols.architecture}")

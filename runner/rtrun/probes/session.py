@@ -58,7 +58,7 @@ class Began:
 class Finished:
     """The observation is over, and everything was taken off the target where `is_clean`.
 
-    `lost_events` are those that the kernel says it has lost. The gaps of all batches say when. `broken` says why it
+    `lost_events` are those that the kernel reports as lost. The gaps of all batches say when. `broken` says why it
     ended before its time, empty where it did not: what was yielded before is all there is.
     """
 
@@ -147,7 +147,7 @@ class _Watching:
         self._pieces: queue.Queue[bytes | WatchReader | BaseException | None] = queue.Queue(_PIECES_MAX)
 
     def run(self) -> None:
-        """Call the script until it is over; pass on a reader for each call, its output, at last None or an error."""
+        """Call the script until it is over; pass on a reader for each call, its output, finally None or an error."""
         try:
             self._link.do(self._call)
             self._put(None)

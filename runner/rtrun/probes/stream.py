@@ -129,7 +129,7 @@ class WatchReader:
         self.is_read_to_end = False
         """All rounds were printed, up to the last event."""
         self.lost = 0
-        """Events that the kernel says it has lost; it may not know how many."""
+        """Events that the kernel reports as lost; it may not know how many."""
         self.begin_ns = 0
         """Since when events are recorded; 0 before that is known."""
         self._placed: dict[str, None] = {}

@@ -1,4 +1,4 @@
-"""What is said about the causes of outliers, on the terminal and in a report."""
+"""What is reported about the causes of outliers, on the terminal and in a report."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -97,7 +97,7 @@ def _worst_cases(study: Study) -> Table:
 
 
 def _given_bounds(study: Study) -> list[tuple[float, Group]]:
-    """The upper ends of the bounds that may be given, and what they are of."""
+    """The upper ends of the bounds that may be given, with their groups."""
     return [
         (bound.high_ns, group)
         for group in study.groups

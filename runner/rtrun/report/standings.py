@@ -73,7 +73,7 @@ def startups(standings: Sequence[Standing]) -> Iterator[str]:
 
 
 def _has_reason(standing: Standing) -> bool:
-    """Whether something else than too few measurements keeps it from an answer."""
+    """Whether something other than too few measurements keeps it from an answer."""
     verdict = standing.verdict
     if verdict is None or verdict.refused:
         return True

@@ -59,7 +59,7 @@ def said_of(folders: Iterable[Path]) -> tuple[str, ...]:
     remarks: dict[str, tuple[str, list[str]]] = {}
     for name, graph in graphs.items():
         for text in graph.remarks:
-            # What differs in its numbers alone is said once.
+            # Remarks that differ only in numbers are reported once.
             remarks.setdefault(re.sub("[0-9]+", "#", text), (text, []))[1].append(name)
     missing = (
         text if len(graphs) == 1 else f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: {text}"
@@ -103,7 +103,7 @@ class ObservedOutput:
     """How many values were above the limit of traces; `limit_ns` is the last one, None: there was none."""
     limit_ns: int | None = None
     traced: Sequence[TracedValue] = ()
-    """Those of which one is kept."""
+    """The values whose trace was kept."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

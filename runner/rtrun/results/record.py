@@ -90,7 +90,7 @@ class UnrelatedEnd(StrEnum):
 
 
 class ProgramRecord(Config):
-    """A program that ran; no exit status: something else than the program ended it, or it ran on.
+    """A program that ran; no exit status: it was killed, or it ran on.
 
     `pid`, `threads` and `locked_bytes`, its locked memory, are those of a program that ran already. `control_groups`
     are those that it was in, and those above them. `rate`, `costs` and `loops` are those of its json, None without one,
@@ -130,7 +130,7 @@ class TargetFacts(Config):
 
     name: str
     is_identified: bool = True
-    """False: it was imported, and nobody said of which board."""
+    """False: it was imported, and its board is not set."""
     address: str = ""
     preempt_rt: bool | None = None
     cpus: CpuCount | None = None
@@ -165,7 +165,7 @@ class Requested(Config):
 class Rival(Config):
     """A thread of another program with the priority of the suite or above; one at DEADLINE comes before every priority.
 
-    Of such a one the budget, where it is known: `runtime_ns` in every `period_ns`.
+    The budget of such a thread, where it is known: `runtime_ns` in every `period_ns`.
     """
 
     name: str

@@ -201,7 +201,7 @@ def close(partial: Path, folder: Path, record: RunRecord) -> None:
 
 
 def rename(source: Path, folder: Path) -> None:
-    """Move a folder into place for good; what stood there before is kept as ``<name>.old-<n>``."""
+    """Move a folder into its final place; what stood there before is kept as ``<name>.old-<n>``."""
     with locked(folder.parent):
         if folder.exists():
             folder.rename(_unused(folder, "old"))

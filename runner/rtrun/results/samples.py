@@ -54,7 +54,7 @@ class Samples:
 
 
 def read_samples(path: Path, record: Record | None = None) -> Samples:
-    """Read an output by its json or its npy; the other one must stand beside it. `record` is the json, if read before.
+    """Read an output by its json or its npy; the other one must be next to it. `record` is the json, if read before.
 
     Raises UsageError that names the file, or both where they disagree.
     """

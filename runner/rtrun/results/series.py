@@ -1,6 +1,6 @@
 """One series of one output, from samples, a log or what was imported: every figure and verdict begins here.
 
-The start-up values are set apart here, so that they stand apart in all that is said of the series.
+The start-up values are set apart here, so that they stay apart in all that is reported of the series.
 """
 
 from collections.abc import Iterable
@@ -133,7 +133,7 @@ def results_of(every_series: Iterable[Series]) -> tuple[Result, ...]:
 def read_file(path: Path, of: Measure | None = None) -> tuple[Series, ...]:
     """Read every series in one log, or in an npy and the json of its name; `of` is what the question names.
 
-    Raises UsageError as `read_log` and `read_samples` do, and for a file that is none of these.
+    Raises UsageError as `read_log` and `read_samples` do, and for a file of another kind.
     """
     if path.suffix == ".log":
         from rtrun.results.gnuplot_log import read_log  # takes as long to load as samples to read

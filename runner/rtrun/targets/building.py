@@ -54,7 +54,7 @@ exec "$@"
 def build(link: Link, sources: Path) -> Mapping[str, str]:
     """Copy the sources of the suites, the folder recipes-tests, to the target and build them there.
 
-    Campaigns use what was built in place of other suites on the target. Return what it was built with, name to value.
+    Campaigns use what was built instead of other suites on the target. Return what it was built with, name to value.
     Raises UsageError where the target file names other suites, TargetError with what the target lacks, or the
     compiler's lines.
     """

@@ -181,11 +181,11 @@ class Target:
     power: Power | None = None
     """None: nobody can switch it."""
     failure: Callable[[], TargetGone | None] = lambda: None
-    """Why the target is gone for good, as far as can be known without a connection to it; None while it may answer."""
+    """Why the target is gone and will not return, as far as is known without a connection; None while it may answer."""
 
 
 def target_name(host: str) -> str:
-    """A name for the target of a host; empty where none of its characters may be in one."""
+    """A name for the target of a host; empty where no character of it may be in one."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", host).strip("-._")
 
 

@@ -245,7 +245,7 @@ def find_count_mismatch(record: Record, logs: Iterable[Log] = ()) -> str | None:
 
 
 def _asked_otherwise(run: Run, record: Record) -> str | None:
-    """Say where a suite understood something else than the run asks for, or not at all, or None."""
+    """Name an option that the suite ignored or misread, or None."""
     understood = record.requested | {"repetitions": record.counts.asked}
     for name, asked in run.parameters.items():
         if name in understood and understood[name] != asked:

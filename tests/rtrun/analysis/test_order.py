@@ -52,7 +52,7 @@ def test_what_does_not_differ_has_no_order() -> None:
 
 
 def with_a_load(rng: np.random.Generator, runs: int) -> np.ndarray:
-    """Runs of which each has a load that lasts for a quarter of it, somewhere."""
+    """Runs that each have a load for a quarter of their time, somewhere."""
     counts = rng.poisson(0.5, (runs, 64)).astype(float)
     for row, start in zip(counts, rng.integers(0, 64, runs), strict=True):
         row[(start + np.arange(16)) % 64] += rng.poisson(8, 16)

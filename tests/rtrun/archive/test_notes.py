@@ -121,7 +121,7 @@ def test_rows_are_kept_as_long_as_was_said(capsys, tmp_path):
     known = read_archive(store, later.replace(tzinfo=None))
     assert (len(known.runs), len(known.histograms)) == (120, 2 * 20)
     assert (len(files(archive, "histograms")), len(files(archive))) == (1, 1)
-    # Runs that are gone as a whole, and at last all files.
+    # Runs that are gone as a whole, and finally all files.
     rtrun(capsys, "archive", "retain", archive, "runs", "50d", "--reason", "full", *WHO)
     assert compact(store, grace=day, now=now.replace(year=2027)).removed == 2
     assert files(archive) == files(archive, "histograms") == []

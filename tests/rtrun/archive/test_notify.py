@@ -152,7 +152,7 @@ def test_what_is_known_calls_nobody_until_it_gets_worse_again(capsys, lab):
     assert main(["site", str(lab.archive), "--output", str(lab.archive.parent / "site")]) == 0
     page = (lab.archive.parent / "site" / "index.html").read_text()
     assert "1 got worse, which is known" in page and "✗ WORSE, known: p50, p99" in page
-    # What began after it was said: the note is put back to the time between two steps.
+    # What began after the note: the note is put back to the time between two steps.
     (path,) = (lab.archive / "notes").iterdir()
     path.write_text(json.dumps({**json.loads(path.read_text()), "at": "2026-01-12T00:00:00"}))
     write_course(lab.archive, [*WORSE, *[150.0] * 14], facts=FACTS)
@@ -227,7 +227,7 @@ def test_names_that_are_hostile_are_text_and_nothing_else(lab, tmp_path):
     ((_, to, mail),) = lab.mails
     assert to == ["b@example.org"] and mail["Bcc"] is None and mail["Subject"] == "rtrun: 60 scenarios got worse"
     assert "\x1b" not in (tmp_path / "text").read_text() and "and 10 more" in as_text(alarms, None, most=50)
-    # Whoever is told of it is told of all.
+    # Whoever is notified gets all of it.
     assert len(lab.posts[0][1]["alarms"]) == (tmp_path / "text").read_text().count("\nWORSE  ") == 60
     assert mail.get_content().count("\nWORSE  ") == 60 and lab.posts[0][1]["text"].count("\nWORSE  ") == 50
 

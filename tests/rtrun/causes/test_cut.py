@@ -237,7 +237,7 @@ CASES = {
         HOG_RUNS + switch(1100, HOG, LOW, state="R") + switch(1400, LOW, ME, state="R") + end(1410),
         1410, f"{EXPIRED}; HIGHER hog 97; THROTTLED low 300; PROGRAM me 10",
     ),
-    # When the thread woke up, one of lower priority had been chosen in place of another real-time thread.
+    # When the thread woke up, one of lower priority had been chosen instead of another real-time thread.
     "throttling that began before": Case(
         START + switch(200, ME, BELOW) + switch(900, BELOW, ("other", 8, 120), state="R")
         + switch(950, ("other", 8, 120), LOW) + RUNS_AGAIN,

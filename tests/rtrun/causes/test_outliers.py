@@ -98,7 +98,7 @@ def test_a_control_group_is_named_with_its_limit_rather_than_the_kernels(tmp_pat
     )
     assert "raise cpu.rt_runtime_us of the group" in advice and "=-1" not in advice
     assert "control group /lab leaves to real-time threads cpu.rt_runtime_us 100000 of 1000000 us" in notes
-    # Without such a group it is the kernel's, whatever quota there is for other policies; the price is said.
+    # Without such a group it is the kernel's, whatever quota there is for other policies; the price is stated.
     kernels = write_traced_run(tmp_path / "kernel", {3: TRACE_OF_GROUP}, [16322], control_groups=[QUOTA_GROUP])
     first, advice, notes = answered(kernels)
     assert "throttled: a thread of lower priority was chosen" in first

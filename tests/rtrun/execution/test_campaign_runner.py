@@ -100,7 +100,7 @@ WRONG = {
 
 @pytest.fixture
 def two_ros2(ready_target, tmp_path):
-    """The target, with two ROS 2 below /opt/ros of which its file names none."""
+    """The target, with two ROS 2 below /opt/ros, and its file selects none."""
     setups = []
     for distro in ("humble", "jazzy"):
         library = tmp_path / "opt" / "ros" / distro / "lib" / "librcl.so"

@@ -38,7 +38,7 @@ class Board:
         )
 
     def vanish(self):
-        """Break all connections, for good."""
+        """Break all connections forever."""
         children = Path(f"/proc/{self.sshd.process.pid}/task/{self.sshd.process.pid}/children").read_text().split()
         self.sshd.process.kill()
         subprocess.run(["kill", "-9", *children], check=False)

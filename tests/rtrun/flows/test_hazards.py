@@ -1,4 +1,4 @@
-"""What threatens real time is said of each program, and nothing of one that is as it should be."""
+"""What threatens real time is reported for each program, and nothing for one that is as it should be."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Messages of a system whose every message is known: what is said of each is true, and the numbers add up."""
+"""Messages of a system whose every message is known: the report about each is true, and the numbers add up."""
 
 from collections import Counter
 
@@ -522,7 +522,7 @@ def ds(tenths):
 
 @st.composite
 def systems(draw):
-    """Programs that begin and end at any time; those with payloads in place of stamps double nothing."""
+    """Programs that begin and end at any time; those with payloads instead of stamps double nothing."""
     payloads = draw(st.sampled_from([0, 1, 2, 30, 10**9]))
     lives = []
     for pid in range(1, draw(st.integers(2, 5)) + 1):

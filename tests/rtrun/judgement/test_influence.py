@@ -28,7 +28,7 @@ def write(root, *, in_turn=True):
             folder = root / name
             folder.mkdir(parents=True)
             begin = np.arange(2000) * 1_000_000
-            # It grows slowly: a drift that is none of the nodes'.
+            # It grows slowly: a drift that does not come from the nodes.
             took = draw.gamma(20, 10 * US, 2000).astype(np.int64) + ADDED_NS[others] + minute * 300
             parameters = SHARED | {"sink": sink, "other_nodes": others}
             rows = np.column_stack((begin, begin + took))

@@ -81,7 +81,7 @@ ADDED = "for the system measure on 5 boots or more"
         (
             trials(5000, boots=5),
             QUESTION,
-            "measured on 5 boots: boots of another kind, of which none was measured, may be 52 % of",
+            "measured on 5 boots: boots of another kind may be up to 52 % of",
         ),
         (
             trials(4000),

@@ -70,7 +70,7 @@ def test_a_limit_that_is_none_is_refused_with_what_is_allowed(above):
         ({"trace_threshold_us": 300}, "c.yml: runs.0.trace_threshold_us: write trace: {above: 300us}, or a quantile"),
         (
             {"trace": {"above": "p99.9"}, "repetitions": 500},
-            "c.yml: cyclic_timer_tests measures 500 values, of which none is expected above p99.9: trace.above takes "
+            "c.yml: cyclic_timer_tests measures 500 values; none is expected above p99.9: trace.above takes "
             "repetitions of 1000 or more for it",
         ),
     ],

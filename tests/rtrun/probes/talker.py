@@ -1,4 +1,4 @@
-"""A program on rclpy: `talker COUNT` publishes at 1 kHz once there is a listener, which takes for good.
+"""A program on rclpy: `talker COUNT` publishes at 1 kHz once there is a listener, which takes forever.
 
 A `listener` does nothing else, a `relay` publishes what it takes on another topic.
 """

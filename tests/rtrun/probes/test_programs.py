@@ -153,7 +153,7 @@ def test_what_is_beyond_a_limit_is_left_out(text, found, left_out):
     roster = Roster(listing.found)
     for each in parse_programs(text.replace("227595", "227596"), "board").found:
         roster.begin(each.program)
-    # They live in place of those that had the pids before, and all that were there have no more room.
+    # They live instead of those that had the pids before, and all that were there have no more room.
     assert len(roster.alive) == found and {each.start_ticks for each in roster.alive} == {227596}
     assert len(roster.seen) <= max(found, PROGRAMS_MAX) and roster.left_out >= found - 1
     for pid in [each.pid for each in roster.alive]:

@@ -91,7 +91,7 @@ def through(group, middleware, **parameters):
 
 
 def test_a_layer_stands_on_the_middleware_below_or_on_the_system(write, tmp_path):
-    """Timers of roscpp stand on cyclictest, its messages on TCP; a timer through another middleware is none of them."""
+    """Timers of roscpp stand on cyclictest, its messages on TCP; a timer through another middleware is on neither."""
     write("a", TIMER, MESSAGES)
     timer, messages = sorted(study(tmp_path, bounds=False).groups, key=lambda group: group.suite, reverse=True)
     bare = replace(timer, suite="cyclictest", parameters={"policy": "RR", "interval_us": 10_000})

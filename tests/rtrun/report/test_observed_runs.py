@@ -110,7 +110,7 @@ def rtrun(capsys):
 
 
 def answers(rtrun, results, *options):
-    """What is said of each group, by the word that it begins with."""
+    """The sentence about each group, by its first word."""
     groups = json.loads(rtrun("verdict", results, "--json", *options)[1])["groups"]
     return {each["group"].split(" ")[0]: each for each in groups}
 
@@ -172,7 +172,7 @@ def test_the_gate_asks_of_what_has_a_deadline(rtrun, results):
 
 
 def test_the_report_asks_nothing_without_a_deadline_and_says_how_it_was_made(tmp_path):
-    """400 us, which are asked where nobody says otherwise, are asked of no program that ran already."""
+    """400 us, the default question, are asked of no program that ran already."""
     write(tmp_path, "a", messages())
     written = contents(study(tmp_path))
     assert written.question.startswith("What follows are figures alone")

@@ -11,7 +11,7 @@ def ranked(root):
 
 
 def test_the_best_answer_comes_first_then_the_smallest_chance_of_a_late_message(tmp_path):
-    # 400 us is the deadline. All of the first are late, few of the second, none of the others.
+    # 400 us is the deadline. All of the first are late, few of the second, and no other.
     for seed, (middleware, mean_us, late) in enumerate(
         [("roscpp", 500, 0), ("zeromq", 90, 3), ("tcp", 200, 0), ("futex", 90, 0)], start=1
     ):

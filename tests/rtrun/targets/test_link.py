@@ -158,7 +158,7 @@ def test_a_restart_on_purpose_has_the_time_that_the_board_boots_in(board, remark
         with pytest.raises(TargetRebooted):
             link.do(lambda _: None)
         assert len(switched) == cycles
-        # One that nobody asked for has the time for connecting again alone.
+        # A connection that is not asked for has only the time for connecting again.
         link.drop()
         board.refuses, answers_s = True, board.slept_s + 30
         board.at = lambda now_s: now_s >= answers_s and setattr(board, "refuses", False)

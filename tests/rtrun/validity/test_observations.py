@@ -1,4 +1,4 @@
-"""What a sampler prints that is none of ours: refused within its limits."""
+"""What a hostile sampler prints: refused within its limits."""
 
 import io
 from typing import Any

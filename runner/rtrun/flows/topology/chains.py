@@ -55,7 +55,7 @@ def reactions(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
     Those of the source to which the sink had not yet reacted when the run ended are left out: see `unanswered`.
     """
     source, sink = tables.nodes[path.nodes[0]], tables.nodes[path.sink]
-    # What the sink knows at last: older data may follow newer ones, on the way through a queue.
+    # The latest data at the sink: older data may overtake newer ones through a queue.
     known = np.maximum.accumulate(of) if of.size else of
     begun = np.arange(source.first, source.release_ns.size)
     first = np.searchsorted(known, begun)

@@ -23,7 +23,7 @@ ACTIVATION = ("release_ns", "begin_ns", "done_ns", "end_ns", "cpu_ns")
 """The columns of a node's table; one for each input follows."""
 RECEPTION = ("seq", "publication_ns", "reception_ns", "taken")
 NONE = -1
-"""In place of the number of a message, or of an activation."""
+"""Instead of the number of a message, or of an activation."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -48,7 +48,7 @@ class NodeTable:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class HopTable:
-    """The messages of a topic that came to a node, in the order of their reception, each int64 of shape (n,).
+    """The messages of a topic that a node received, in the order of their reception, each int64 of shape (n,).
 
     `taken` is the activation that took a message first, `NONE` for one that none took. After `left_ns` the node
     received nothing any more.

@@ -10,7 +10,7 @@ from enum import StrEnum
 from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, TopologyTopic, Waits
 
 OTHER_NODES = "other_nodes"
-"""The parameter of a run that says what stands beside its topology; empty: nothing."""
+"""The parameter of a run that names the nodes beside its topology; empty: none."""
 _TEXT = re.compile(r"([1-9][0-9]?) (idle|busy|publishing)(?: on ([0-9]{1,4}))?", re.ASCII)
 
 
@@ -56,7 +56,7 @@ def read_other_nodes(text: str) -> OtherNodes:
 def beside(topology: Topology, others: OtherNodes) -> tuple[Topology, tuple[str, ...]]:
     """A topology with other nodes beside it, and the names of these.
 
-    They have the policy and the priority of its first thread: none of the two comes before the other by that.
+    They have the policy and the priority of its first thread: so neither comes before the other.
     """
     taken = {*topology.node, *topology.executor, *topology.processes}
     first = topology.executors[0]

@@ -35,7 +35,7 @@ class TopologyPlan:
     paths: tuple[NodePath, ...]
     deadlines: tuple[StreamDeadline, ...] = ()
     others: tuple[str, ...] = ()
-    """Nodes of the topology that stand beside what is measured: of them nothing is kept."""
+    """Nodes of the topology beside those that are measured: nothing of them is kept."""
 
     @property
     def measure_ns(self) -> int:

@@ -83,7 +83,7 @@ def overloads(topology: Topology) -> Iterator[str]:
     """What cannot fit: threads that are asked for more than a CPU, CPUs that are asked for more than they have.
 
     A set of CPUs has too little where the executors that may run nowhere else ask for more. Executors move between
-    their CPUs as they like, so what is said here cannot fit however the kernel deals them.
+    their CPUs as they like, so what is reported here cannot fit, wherever the kernel runs them.
     """
     of_node, of_executor = shares(topology), _executor_shares(topology)
     for executor in topology.executors:

@@ -292,7 +292,7 @@ def _unfit(topology: Topology, top: Place) -> Iterator[str]:
 
 
 def _cycle_without_period(topology: Topology, publishers: Mapping[str, str]) -> Sequence[str]:
-    """Nodes of which each activates the next one, and the last the first; empty where there is no such circle."""
+    """Nodes that activate one another in a circle; empty where there is none."""
     activated = [node for node in topology.nodes if node.waits is not Waits.PERIOD]
     names = {node.name for node in activated}
     before = {

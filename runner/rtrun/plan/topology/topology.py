@@ -77,7 +77,7 @@ class TopologyNode:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NamedPath:
-    """Topics of which each led to the next one, with the deadlines of the file for what comes along them."""
+    """Topics that led from one to the next, with the deadlines of the file for what comes along them."""
 
     topics: tuple[str, ...]
     reaction_ns: int | None = None

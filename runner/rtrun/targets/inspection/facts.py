@@ -214,7 +214,7 @@ def _installed(target: "Target", facts: Mapping[str, Sequence[str]]) -> Installe
 
 
 def several_of(target: "Target", equipment: Equipment, middleware: str) -> str | None:
-    """Say that a target has several of a middleware, of which its file names none; None where it is otherwise."""
+    """Say that several of a middleware are installed and the target file selects none; else None."""
     setups = equipment.of(middleware).several
     several = f"{target.address}: several ROS ({', '.join(setups)}): put one into the target file as ros_setup"
     return several if setups else None

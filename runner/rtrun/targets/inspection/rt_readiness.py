@@ -62,7 +62,7 @@ class Checks(Config):
 
 
 def with_safety_net(change: str, safety_net: str) -> str:
-    """A remedy as it is said: whoever follows it must know which safety it costs."""
+    """A remedy as it is printed: whoever follows it must know which safety it costs."""
     return f"{change}; this takes away a safety net: {safety_net}" if safety_net else change
 
 

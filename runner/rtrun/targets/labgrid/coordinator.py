@@ -189,13 +189,13 @@ def unoffered(place: LabgridPlace, offered: Sequence[OfferedResource]) -> list[s
 
 
 def what_ended(coordinator: str, place: LabgridPlace) -> str:
-    """What is said of a place whose exporter ended; empty where all is offered. Raises as `list_places` does."""
+    """The message about a place whose exporter ended; empty where all is offered. Raises as `list_places` does."""
     missing = unoffered(place, list_resources(coordinator))
     return f"place {place.name}: {nobody_offers(missing)}" if missing else ""
 
 
 def nobody_offers(patterns: Sequence[str]) -> str:
-    """What is said where nothing fits these patterns of a place."""
+    """The message when no place matches these patterns."""
     exporters = sorted({name for pattern in patterns if (name := pattern.partition("/")[0]) and "*" not in name})
     who = f"the exporter {', '.join(exporters)}" if exporters else "its exporter"
     return f"nobody offers {', '.join(patterns)}: {who} ended or was not started (labgrid-exporter)"

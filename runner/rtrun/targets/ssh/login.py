@@ -27,7 +27,7 @@ PUBLIC_KEY_BYTES_MAX = 64 * 1024
 
 
 class Refused(TargetError):
-    """The server accepts none of the keys."""
+    """The server accepts no key."""
 
 
 class HungUp(Exception):
@@ -196,7 +196,7 @@ def _read_key_file(path: Path, passphrase: str | None = None) -> list[paramiko.P
 
 
 def _load(path: Path, passphrase: str | None) -> paramiko.PKey:
-    """Read a private key without the certificate that may stand beside it."""
+    """Read a private key without the certificate that may be next to it."""
     failure: Exception = ValueError("not a private key")
     for kind in (paramiko.Ed25519Key, paramiko.ECDSAKey, paramiko.RSAKey):
         try:

@@ -183,7 +183,7 @@ def _included(patterns: list[str], where: str) -> Iterator[Path]:
 
 
 def _is_named(patterns: list[str], name: str) -> bool:
-    """Whether a list of patterns names a host: one of them fits, and none of those that begin with ``!``."""
+    """Whether a list of patterns names a host: one of them fits, and no one that begins with ``!``."""
     fitting = [pattern for pattern in patterns if matches(pattern.removeprefix("!").lower(), name.lower())]
     return bool(fitting) and not any(pattern.startswith("!") for pattern in fitting)
 

@@ -12,7 +12,7 @@ from rtrun.targets.qemu import kvm
 
 
 def stand_in(tmp_path: Path, script: str) -> str:
-    """A program in place of QEMU, which writes down that it was called."""
+    """A program instead of QEMU, which writes down that it was called."""
     program = tmp_path / "qemu"
     program.write_text(f'#!/bin/sh\necho "$*" >> {tmp_path}/calls\n{script}\n')
     program.chmod(0o755)

@@ -56,7 +56,7 @@ constexpr int64_t drained_ns = 10 * rt_tests::ns_per_s;
 // What came of a thread of nodes.
 struct Hosted {
   std::vector<HostedNode*> nodes;
-  int64_t foreign = 0;   // messages that are none of the graph's
+  int64_t foreign = 0;   // messages from outside the graph
   int64_t left_ns = 0;   // when it stopped receiving
   std::string problem;   // why it could not go on; empty: it could
 };
