@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from rtrun.judgement.claims.examination import Finding
-from rtrun.judgement.claims.examiners import examine_claims
 from rtrun.judgement.study import study
+from rtrun.thesis.examination import Finding
+from rtrun.thesis.examiners import examine_claims
 
 # At the end: nothing there may stand in for a module of this folder.
 sys.path.append(str(Path(__file__).parents[1] / "rtrun"))

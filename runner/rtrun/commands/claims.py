@@ -25,12 +25,12 @@ def run(args: argparse.Namespace) -> int:
     import dataclasses
 
     from rtfiles.output import listed, print_json, print_line
-    from rtrun.judgement.claims.examiners import examine_claims
     from rtrun.judgement.study import study
     from rtrun.plan.question import Question
-    from rtrun.report.published import published_figures
     from rtrun.report.screen import print_rows, print_styled
     from rtrun.report.terminal import print_banner
+    from rtrun.thesis.examiners import examine_claims
+    from rtrun.thesis.published import published_figures
 
     analysed = study(args.results, Question(confidence=args.confidence), bounds=False)
     examined, published = examine_claims(analysed), published_figures(analysed)

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtrun.analysis.layers import Attribution, attribute
-from rtrun.judgement.claims.examination import is_rt
-from rtrun.judgement.groups import Group
+from rtrun.judgement.groups import Group, is_rt
 from rtrun.judgement.study import Study
 from rtrun.kinds.known import KINDS, kind_of
 from rtrun.plan.middleware.description import middlewares

@@ -7,15 +7,15 @@ import pytest
 from report.campaigns import latencies, oneshot_run
 
 from rtfiles.quantities import time
-from rtrun.judgement.claims.examination import Finding
-from rtrun.judgement.claims.examiners import Examined, examine_claims
 from rtrun.judgement.compare import Compared, compare_sets
 from rtrun.judgement.study import study
 from rtrun.plan.question import Question
 from rtrun.report.compare import as_text
 from rtrun.report.contents import contents
-from rtrun.report.published import published_figures
 from rtrun.results.series import NOTE_2014
+from rtrun.thesis.examination import Finding
+from rtrun.thesis.examiners import Examined, examine_claims
+from rtrun.thesis.published import published_figures
 
 ARMED_AFTER_NS = 7000
 

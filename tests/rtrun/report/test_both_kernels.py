@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 from report.campaigns import latencies, oneshot_run
 
-from rtrun.judgement.claims.examination import Finding
-from rtrun.judgement.claims.examiners import examine_claims
 from rtrun.judgement.study import study
 from rtrun.plan.campaign import read_campaign
-from rtrun.report.published import published_figures
+from rtrun.thesis.examination import Finding
+from rtrun.thesis.examiners import examine_claims
+from rtrun.thesis.published import published_figures
 
 CAMPAIGN = Path(__file__).parents[3] / "campaigns" / "thesis-2014.yml"
 

@@ -12,7 +12,7 @@ from rtrun.analysis.comparison import Comparison, ComparisonAnswer, Shift, compa
 from rtrun.analysis.effects import Effect, examine_effect, holm
 from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.layers import figure_of
-from rtrun.judgement.groups import Group, format_parameters
+from rtrun.judgement.groups import Group, format_parameters, is_rt
 from rtrun.judgement.study import Study
 from rtrun.kinds.kind import MeasurementKind
 from rtrun.kinds.known import kind_of
@@ -56,11 +56,6 @@ def select(groups: Iterable[Group], of: MeasurementKind | str, *, rt: bool | Non
 def is_of(suite: str, of: MeasurementKind | str) -> bool:
     """Whether a suite is of a kind, or is the baseline of this name."""
     return suite == of if isinstance(of, str) else kind_of(suite) is of
-
-
-def is_rt(group: Group) -> bool:
-    """Whether the group's runs asked for a real-time policy."""
-    return group.parameters.get("policy", "0") != "0"
 
 
 def runs_of(groups: Iterable[Group]) -> tuple[str, ...]:

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from rtfiles.config import read_yaml
-from rtrun.judgement.claims.examination import select
 from rtrun.judgement.groups import Group
 from rtrun.kinds import messages, oneshot
 from rtrun.kinds.kind import MeasurementKind
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.suites import Value
+from rtrun.thesis.examination import select
 
 # The load of the published tables, by the condition that makes the same load.
 _LOAD_PERCENT = {IDLE: 0, "cpu80": 80}

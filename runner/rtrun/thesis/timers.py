@@ -6,7 +6,12 @@ from rtfiles.quantities import time
 from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.intervals import clopper_pearson
-from rtrun.judgement.claims.examination import (
+from rtrun.judgement.digest import Digest
+from rtrun.judgement.groups import Group, format_parameters, is_rt
+from rtrun.judgement.study import Study
+from rtrun.kinds import cyclic, oneshot
+from rtrun.plan.question import NONE_TOLERATED, Question
+from rtrun.thesis.examination import (
     NEVER_BELOW,
     ClaimResult,
     Finding,
@@ -14,17 +19,11 @@ from rtrun.judgement.claims.examination import (
     describe_shift,
     examine_shift,
     is_of,
-    is_rt,
     no_runs,
     pairs,
     runs_of,
     select,
 )
-from rtrun.judgement.digest import Digest
-from rtrun.judgement.groups import Group, format_parameters
-from rtrun.judgement.study import Study
-from rtrun.kinds import cyclic, oneshot
-from rtrun.plan.question import NONE_TOLERATED, Question
 
 ONESHOT, CYCLIC = oneshot.KIND, cyclic.KIND
 _MS = 1_000_000

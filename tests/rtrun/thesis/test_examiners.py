@@ -7,14 +7,14 @@ import pytest
 from report.campaigns import NOT_FIRED, cyclic_run, latencies, message_run, oneshot_run
 
 from rtrun.analysis.comparison import ComparisonAnswer
-from rtrun.judgement.claims import general
-from rtrun.judgement.claims.examination import Finding, compared
-from rtrun.judgement.claims.examiners import EXAMINERS, examine_claims
-from rtrun.judgement.claims.reference import published
 from rtrun.judgement.study import study
 from rtrun.plan.question import Question
 from rtrun.results.importers.adopt import adopt
 from rtrun.targets.inspection.platform import Platform
+from rtrun.thesis import general
+from rtrun.thesis.examination import Finding, compared
+from rtrun.thesis.examiners import EXAMINERS, examine_claims
+from rtrun.thesis.reference import published
 
 CONFIRMED, REFUTED, UNDECIDED = Finding.CONFIRMED, Finding.REFUTED, Finding.UNDECIDED
 IDS = [claim["id"] for claim in published()["claims"]]

@@ -1,10 +1,10 @@
 """The figures of 2014 beside those of a campaign."""
 
 from rtfiles.quantities import time
-from rtrun.judgement.claims.reference import message_rows, oneshot_rows
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.report.tables import Table
+from rtrun.thesis.reference import message_rows, oneshot_rows
 
 
 def published_figures(study: Study) -> Table:

@@ -9,7 +9,12 @@ from rtrun.analysis.comparison import ComparisonAnswer
 from rtrun.analysis.effects import holm
 from rtrun.analysis.intervals import clopper_pearson
 from rtrun.analysis.periods import burst_peaks, evenly_spread_p, find_period
-from rtrun.judgement.claims.examination import (
+from rtrun.judgement.digest import JudgedDigest
+from rtrun.judgement.groups import Group, slowest
+from rtrun.judgement.study import Study
+from rtrun.kinds import messages, oneshot
+from rtrun.kinds.known import KINDS, kind_of
+from rtrun.thesis.examination import (
     NEVER_BELOW,
     ClaimResult,
     Finding,
@@ -21,11 +26,6 @@ from rtrun.judgement.claims.examination import (
     runs_of,
     select,
 )
-from rtrun.judgement.digest import JudgedDigest
-from rtrun.judgement.groups import Group, slowest
-from rtrun.judgement.study import Study
-from rtrun.kinds import messages, oneshot
-from rtrun.kinds.known import KINDS, kind_of
 
 ONESHOT, COMMUNICATION, CYCLICTEST = oneshot.KIND, messages.KIND, "cyclictest"
 _BROADER_NS = 300_000  # of the claim: from about 200 to about 500 us

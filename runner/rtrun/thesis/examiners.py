@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from rtfiles.output import showing_progress
-from rtrun.judgement.claims import general, timers
-from rtrun.judgement.claims.examination import ClaimResult, Finding
-from rtrun.judgement.claims.reference import published
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.kinds.known import kind_of
 from rtrun.targets.inspection.platform import Platform
+from rtrun.thesis import general, timers
+from rtrun.thesis.examination import ClaimResult, Finding
+from rtrun.thesis.reference import published
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,1 +1,0 @@
-"""The claims of the thesis, each examined on the samples at hand."""
