@@ -28,6 +28,7 @@ NO_LIMITS = {
     },
     "what is printed or computed at most": {
         "rtrun.analysis.recurrence._COUNT_MAX",
+        "rtrun.evidence.duplicates._PLACES_MAX",
         "rtfiles.output.WIDTH_MAX",
         "rtrun.archive.alarms.REASON_MAX",
         "rtrun.archive.bins._COUNT_MAX",
