@@ -56,7 +56,7 @@ def main() -> None:
         timer.rows.add(np.stack([at + 80, at], axis=1).ravel().tolist())
         link.last, link.until_ns = len(pair.rows) - 1, int(at[-1]) + 50
         observed.newest_ns = int(at[-1]) + 90
-        observed.situation.store.ease()
+        observed.state.store.ease()
     observed.finish()
     (folder / "facts").mkdir()
     write_record(folder / "facts", "observed_intervals", [], {}, subject="attached")

@@ -20,7 +20,7 @@ from rtrun.plan.goal import Goal
 from rtrun.plan.run import Run
 from rtrun.report.standings import progress_line
 from rtrun.results.goal_file import write_goal
-from rtrun.results.observed import said_of
+from rtrun.results.observed import remarks_of
 from rtrun.results.record import RunStatus, is_closed
 
 ReportProgress = Callable[[Sequence[Progress], float], None]
@@ -91,6 +91,6 @@ def measure_until(
             "allow more: the start of the target counts too"
         )
     print_answers(study(results, goal.question, bounds=False))
-    for line in said_of(sorted(folder for folder in results.iterdir() if is_closed(folder))):
+    for line in remarks_of(sorted(folder for folder in results.iterdir() if is_closed(folder))):
         print_line(line)
     return statuses

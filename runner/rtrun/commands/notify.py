@@ -48,8 +48,8 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.archive.alarms import board_alarms
     from rtrun.archive.courses import courses
     from rtrun.archive.fleet import ask_farm, boards_of
+    from rtrun.archive.notifications import ALARMS_MAX, add_told, check_memory, not_told, read_told
     from rtrun.archive.receivers import Receivers, tell
-    from rtrun.archive.told import ALARMS_MAX, add_told, check_memory, not_told, read_told
     from rtrun.plan.question import THESIS
 
     config = load(args.receivers, Receivers)

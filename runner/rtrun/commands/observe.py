@@ -169,7 +169,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     from rtrun.report.flow_trace import flow_trace
     from rtrun.report.live import LiveView
     from rtrun.results import run_directory
-    from rtrun.results.observed import said_of
+    from rtrun.results.observed import remarks_of
     from rtrun.results.record import RunStatus
     from rtrun.results.run_state import RunLife, RunState
 
@@ -192,7 +192,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
             ready, uid, planned.name, planned, folder, life, utc_now, may_be_begun=False, onlooker=onlooker
         )
     if not args.json:
-        for text in said_of([folder]):
+        for text in remarks_of([folder]):
             print_line(text)
     is_ok = record.status is RunStatus.OK
     if not is_ok:

@@ -116,7 +116,7 @@ def _measure(
     from rtrun.execution import campaign_runner, progress
     from rtrun.plan.campaign import variants_of
     from rtrun.report import terminal
-    from rtrun.results.observed import said_of
+    from rtrun.results.observed import remarks_of
     from rtrun.results.reading import read_runs
     from rtrun.results.record import RunStatus
 
@@ -136,6 +136,6 @@ def _measure(
         print_line(kept)
         raise
     console().print(terminal.answer_of_runs(read_runs(results)), crop=False)
-    for line in said_of(results / each.name for each in chosen):
+    for line in remarks_of(results / each.name for each in chosen):
         print_line(line)
     return statuses

@@ -42,7 +42,7 @@ Clock = Callable[[], datetime]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Work:
+class ActiveRun:
     """One run, where it is measured and where it is kept."""
 
     prepared: Prepared
@@ -99,7 +99,7 @@ class RunEnd:
 
 
 def close(
-    work: Work,
+    work: ActiveRun,
     attempt: Attempt,
     end: RunEnd,
     observed: ObservationResult | None,
@@ -119,7 +119,7 @@ def close(
         place = work.folder
         if run.observation is not None or run.topology is not None:
             # Its streams are runs, too, and get their places together with it.
-            staged = stack.enter_context(run_directory.together(place.parent, place.name))
+            staged = stack.enter_context(run_directory.all_or_none(place.parent, place.name))
             stream_runs.put_aside(place)
             place = staged / place.name
         partial = stack.enter_context(run_directory.filling(place))
@@ -146,7 +146,7 @@ def close(
     return record
 
 
-def _download(work: Work, partial: Path, attempt: Attempt, end: RunEnd) -> dict[str, str]:
+def _download(work: ActiveRun, partial: Path, attempt: Attempt, end: RunEnd) -> dict[str, str]:
     """Fill a run directory; return the files that were not taken, name to reason."""
     if work.prepared.kernel_config:
         (partial / "kernel.config.gz").write_bytes(work.prepared.kernel_config)
@@ -159,7 +159,7 @@ def _download(work: Work, partial: Path, attempt: Attempt, end: RunEnd) -> dict[
     return download.pull(work.link, work.remote, end.files, partial, work.programs.file_limits)
 
 
-def _judge(work: Work, partial: Path, attempt: Attempt, end: RunEnd, refused: Mapping[str, str]) -> RunOutcome:
+def _judge(work: ActiveRun, partial: Path, attempt: Attempt, end: RunEnd, refused: Mapping[str, str]) -> RunOutcome:
     is_of_suite = work.run.observation is None
     verdict = judge(
         partial,
@@ -203,7 +203,7 @@ def _program_record(
     )
 
 
-def _built_with(work: Work) -> dict[str, Any]:
+def _built_with(work: ActiveRun) -> dict[str, Any]:
     """The fact of the target that tells what the suites were built with, where they were built there."""
     built = f"{work.link.target.work_dir / building.BUILT}/"
     used = any(program.argv[0].startswith(built) for program in work.programs.of_suite)
@@ -211,7 +211,7 @@ def _built_with(work: Work) -> dict[str, Any]:
 
 
 def _record(
-    work: Work,
+    work: ActiveRun,
     partial: Path,
     attempt: Attempt,
     end: RunEnd,

@@ -18,7 +18,7 @@ from rtrun.probes import session
 from rtrun.probes.hits import ObservedProgram
 from rtrun.probes.libraries.description import events
 from rtrun.probes.placement import Placement, place, refusals
-from rtrun.probes.programs import FoundProgram, Roster, find_programs, left_out_in_words
+from rtrun.probes.programs import ObservableProgram, Roster, find_programs, left_out_in_words
 from rtrun.probes.session import Began, Finished
 from rtrun.results.columns import NoRoom
 from rtrun.results.coverage import Coverage, coverage
@@ -40,7 +40,7 @@ OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
 class Watched:
     """The programs to observe on a target, and the probes for them."""
 
-    found: tuple[FoundProgram, ...]
+    found: tuple[ObservableProgram, ...]
     placement: Placement
     left_out: int = 0
     """Programs beyond what is observed at one time."""

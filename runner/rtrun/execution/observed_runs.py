@@ -134,7 +134,7 @@ def _programs(
     result: ObservationResult, parameters: Mapping[str, Value], parties: Sequence[str]
 ) -> Sequence[ProgramRecord]:
     """The programs that parameters of a stream name; all of them where none is known by its name."""
-    known = result.flows.situation.pids
+    known = result.flows.state.pids
     pids = {pid for key in parties for pid in known.get(str(parameters.get(key)), ())}
     return [_program(each) for each in [each for each in result.programs if each.pid in pids] or result.programs]
 

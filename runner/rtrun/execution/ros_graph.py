@@ -18,7 +18,7 @@ from rtfiles.config import Config, parse
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
 from rtrun.execution.middleware import roscpp
-from rtrun.probes.programs import FoundProgram
+from rtrun.probes.programs import ObservableProgram
 from rtrun.targets.errors import TargetError
 from rtrun.targets.link import Link
 
@@ -78,7 +78,7 @@ class RosGraph:
         return made
 
 
-def read_graph(link: Link, scripts: PurePosixPath, found: Sequence[FoundProgram]) -> RosGraph:
+def read_graph(link: Link, scripts: PurePosixPath, found: Sequence[ObservableProgram]) -> RosGraph:
     """Ask what the programs of a target see of one another. Raises TargetError where the target does not answer."""
     pids = {name: [one.program.pid for one in found if _has(one, name)] for name in (ROS1, ROS2)}
     told = _environment(link, [*pids[ROS1], *pids[ROS2]])
@@ -119,7 +119,7 @@ def _with(nodes: list[GraphNode], more: Iterable[GraphNode]) -> list[GraphNode]:
     return together
 
 
-def _has(found: FoundProgram, library: str) -> bool:
+def _has(found: ObservableProgram, library: str) -> bool:
     return any(each.library == library for each in found.mapped)
 
 

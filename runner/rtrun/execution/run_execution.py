@@ -13,7 +13,7 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.interruption import deferred
 from rtfiles.quantities import duration
 from rtrun.execution import download, observation, observed_runs, resumption, system
-from rtrun.execution.closing import Clock, RunEnd, Work, close
+from rtrun.execution.closing import ActiveRun, Clock, RunEnd, close
 from rtrun.execution.observation import KEPT_FIRST, NOBODY, ObservationResult, Onlooker, defect_in_words
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt, Leftovers
@@ -142,7 +142,7 @@ def measure(
     """
     remote = prepared.link.target.work_dir / "runs" / uid / run.name
     token = secrets.token_hex(4)
-    work = Work(
+    work = ActiveRun(
         prepared=prepared,
         campaign=campaign,
         run=run,
@@ -156,7 +156,7 @@ def measure(
         return _measure(work, life, now, may_be_begun=may_be_begun)
 
 
-def _measure(work: Work, life: RunLife, now: Clock, *, may_be_begun: bool) -> RunRecord:
+def _measure(work: ActiveRun, life: RunLife, now: Clock, *, may_be_begun: bool) -> RunRecord:
     run, remote, begun = work.run, work.remote, now()
     try:
         attempt, not_started = (_resume(work, life) if may_be_begun else None), None
@@ -198,7 +198,7 @@ def _measure(work: Work, life: RunLife, now: Clock, *, may_be_begun: bool) -> Ru
     return record
 
 
-def _close(work: Work, attempt: Attempt, end: RunEnd, aftermath: _Aftermath, now: Clock) -> RunRecord:
+def _close(work: ActiveRun, attempt: Attempt, end: RunEnd, aftermath: _Aftermath, now: Clock) -> RunRecord:
     """Close it. What was observed and cannot be kept where it was to be is kept in a new folder for temporary files."""
     try:
         return close(work, attempt, end, aftermath.observed, now, aftermath.troubles)
@@ -214,7 +214,7 @@ def _close(work: Work, attempt: Attempt, end: RunEnd, aftermath: _Aftermath, now
         return record
 
 
-def _resume(work: Work, life: RunLife) -> Attempt | None:
+def _resume(work: ActiveRun, life: RunLife) -> Attempt | None:
     """Return the attempt of an earlier call that can be picked up, or make room for a new one and return None."""
     others = [*work.programs.load_names, *work.programs.other_names]
     leftovers = resumption.inspect_leftovers(work.link, work.remote, work.programs.suite_names, others)
@@ -235,21 +235,21 @@ def _resume(work: Work, life: RunLife) -> Attempt | None:
     return None
 
 
-def _why_left(work: Work, leftovers: Leftovers) -> str:
+def _why_left(work: ActiveRun, leftovers: Leftovers) -> str:
     """What the journal says of an attempt that is not picked up; one of programs that ran already left nothing."""
     if work.run.observation is None and leftovers.started.isdisjoint(work.measuring):
         return GivenUp.NOT_MEASURED
     return f"{GivenUp.LEFT}: {leftovers.unreadable}" if leftovers.unreadable else GivenUp.LEFT
 
 
-def _give_up(work: Work) -> None:
+def _give_up(work: ActiveRun) -> None:
     """End all that runs of it, and remove its folder on the target."""
     if work.starts_system:
         system.end(work.link, work.remote)
     processes.give_up(work.link, work.remote, work.programs.names)
 
 
-def _give_up_or_note(work: Work) -> None:
+def _give_up_or_note(work: ActiveRun) -> None:
     """Give it up, and say what stays on the target."""
     try:
         _give_up(work)
@@ -259,7 +259,7 @@ def _give_up_or_note(work: Work) -> None:
         )
 
 
-def _start(work: Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
+def _start(work: ActiveRun, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
     """Start the background, then the suite; return why its measuring programs were not started, if so.
 
     What is observed is started before the background: how it comes up under a load is no part of the run. Raises
@@ -276,7 +276,7 @@ def _start(work: Work, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
     return attempt, not_started
 
 
-def _start_system(work: Work) -> str | None:
+def _start_system(work: ActiveRun) -> str | None:
     """Start the user's system where the run names one, and wait until it is ready; return why it is not."""
     assert work.run.observation is not None
     link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
@@ -290,7 +290,7 @@ def _start_system(work: Work) -> str | None:
     return not_ready
 
 
-def _begin(work: Work, now: Clock) -> Attempt:
+def _begin(work: ActiveRun, now: Clock) -> Attempt:
     start_time = now()
     service = _service(work)
     if work.service and not service:
@@ -314,12 +314,12 @@ def _begin(work: Work, now: Clock) -> Attempt:
     return attempt
 
 
-def _service(work: Work) -> str:
+def _service(work: ActiveRun) -> str:
     """The identity of what the middleware of the run needs; empty: it needs nothing, or that does not run."""
     return (work.service.identity(work.link) if work.service else None) or ""
 
 
-def _start_background(work: Work) -> None:
+def _start_background(work: ActiveRun) -> None:
     """Start what the condition asks for. Raises TargetError when a program of it ends at once."""
     link, prepared = work.link, work.prepared
     programs = [each.program for each in work.programs.background]
@@ -331,7 +331,7 @@ def _start_background(work: Work) -> None:
         raise TargetError(f"{link.target.address}: condition {work.run.condition}: {name} does not run: {reason}")
 
 
-def _start_suite(work: Work, life: RunLife) -> str | None:
+def _start_suite(work: ActiveRun, life: RunLife) -> str | None:
     """Start the sampler, then the suite's programs stage by stage, each when those before it are ready.
 
     Return why the rest was not started: a program that it needs has ended.
@@ -356,7 +356,7 @@ def _start_suite(work: Work, life: RunLife) -> str | None:
     return None
 
 
-def _wait_ready(work: Work, names: Sequence[str]) -> None:
+def _wait_ready(work: ActiveRun, names: Sequence[str]) -> None:
     """Wait until these programs of the suite are ready, or one of them has ended.
 
     Without a service nobody but the programs themselves knows: they wait for one another.
@@ -373,11 +373,11 @@ def _wait_ready(work: Work, names: Sequence[str]) -> None:
         )
 
 
-def _last_word(work: Work, name: str) -> str:
+def _last_word(work: ActiveRun, name: str) -> str:
     return processes.read_last_line(work.link, work.remote / f"{name}.stderr") or "it said nothing"
 
 
-def _observe(work: Work, life: RunLife, not_started: str | None, now: Clock) -> _Measured:
+def _observe(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) -> _Measured:
     """Observe what the run is about, then end the user's system where the run has started it."""
     assert work.run.observation is not None
     link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
@@ -405,7 +405,7 @@ def _observe(work: Work, life: RunLife, not_started: str | None, now: Clock) -> 
     return _Measured(exits=exits, failure=failure, aftermath=aftermath)
 
 
-def _wait(work: Work, life: RunLife) -> _Measured:
+def _wait(work: ActiveRun, life: RunLife) -> _Measured:
     """Wait for the programs of the suite."""
     link, failure = work.link, None
     awaited = [program.name for program in work.programs.awaited]
@@ -430,7 +430,7 @@ def _wait(work: Work, life: RunLife) -> _Measured:
     return _Measured(exits=exits, failure=failure, service=service)
 
 
-def _end_background(work: Work, measured: _Measured, not_started: str | None) -> RunEnd:
+def _end_background(work: ActiveRun, measured: _Measured, not_started: str | None) -> RunEnd:
     failure = not_started or measured.failure
     limits, state_script = work.programs.file_limits, work.prepared.scripts / "state.sh"
     if not work.programs.names:

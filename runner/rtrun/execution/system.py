@@ -11,7 +11,7 @@ from rtrun.flows.topics import PUBLISHER
 from rtrun.plan.observation import ObservationPlan
 from rtrun.plan.program import Exit, Program
 from rtrun.probes import session
-from rtrun.probes.programs import FoundProgram
+from rtrun.probes.programs import ObservableProgram
 from rtrun.probes.stream import Batch
 from rtrun.targets import processes
 from rtrun.targets.link import Link
@@ -64,7 +64,7 @@ def wait_ready(
 
 
 def _never_ready(
-    own: tuple[FoundProgram, ...], topic: str, published: set[str], waited_s: float, *, is_started: bool
+    own: tuple[ObservableProgram, ...], topic: str, published: set[str], waited_s: float, *, is_started: bool
 ) -> str:
     if not own and is_started:
         return (
@@ -79,7 +79,7 @@ def _never_ready(
 
 
 def _published(
-    link: Link, scripts: PurePosixPath, watched: observation.Watched, own: tuple[FoundProgram, ...], topic: str
+    link: Link, scripts: PurePosixPath, watched: observation.Watched, own: tuple[ObservableProgram, ...], topic: str
 ) -> set[str]:
     """The topics on which these programs are seen to publish, until it is the topic; none where no probe can be placed.
 
@@ -98,7 +98,7 @@ def _published(
                 flows = FlowAccumulator(begin_ns=each.begin_ns)
                 flows.observe(found.program for found in watched.found)
             flows.feed([*each.hits, *each.gaps])
-            known = flows.situation.pids
+            known = flows.state.pids
             published = {
                 name
                 for role, name, label in flows.topics.ends

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from operator import itemgetter
 
 from rtrun.flows.calls import CallRecord
-from rtrun.flows.living import LivingPrograms
+from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.paths import PathRecord
+from rtrun.flows.process_table import ProcessTable
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.flows.rows import RowStore
-from rtrun.flows.situation import Situation
 from rtrun.flows.threads import CallbackLog, ObservedThread
 from rtrun.flows.timers import ClockOffsets
 from rtrun.flows.topics import TopicRecord
@@ -46,13 +46,13 @@ class FlowAccumulator:
         self._join_from = 2 * GAPS_MAX
         self.in_gaps = 0
         """Hits within gaps, which are left out."""
-        self.situation = Situation(begin_ns, store or RowStore())
+        self.state = ObservationState(begin_ns, store or RowStore())
         self.offsets = ClockOffsets()
-        self.paths = PathRecord(paths, self.situation.store)
-        self.topics = TopicRecord(self.situation, self.paths, horizon_ns, recorder)
-        self.calls = CallRecord(self.situation, recorder)
-        self.turns = TurnRecord(on_turn, self.situation) if on_turn is not None else None
-        self._programs = LivingPrograms(self.situation)
+        self.paths = PathRecord(paths, self.state.store)
+        self.topics = TopicRecord(self.state, self.paths, horizon_ns, recorder)
+        self.calls = CallRecord(self.state, recorder)
+        self.turns = TurnRecord(on_turn, self.state) if on_turn is not None else None
+        self._programs = ProcessTable(self.state)
         self._handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
             **self.topics.handlers,
             **self.calls.handlers,
@@ -70,11 +70,11 @@ class FlowAccumulator:
             if process.program and process.has_own_name
         ]
         for *_, process in sorted(begun, key=itemgetter(0, 1)):
-            self.situation.label(process, process.label)
+            self.state.label(process, process.label)
 
     def offset(self, clock: str, at_ns: int, offset_ns: int) -> None:
         """A clock other than that of the hits was `offset_ns` ahead of it at a time on that; ``system`` is realtime."""
-        self.situation.offsets_ns[clock] = offset_ns
+        self.state.offsets_ns[clock] = offset_ns
         self.offsets.add(clock, at_ns, offset_ns)
 
     def feed(self, items: Iterable[Hit | Gap]) -> None:
@@ -82,7 +82,7 @@ class FlowAccumulator:
 
         Raises NoRoom where more was measured than may be kept.
         """
-        handlers, thread_of, situation, turns = self._handlers, self._programs.thread, self.situation, self.turns
+        handlers, thread_of, state, turns = self._handlers, self._programs.thread, self.state, self.turns
         topics = self.topics
         is_late = False
         for item in sorted(items, key=itemgetter(0)):
@@ -94,7 +94,7 @@ class FlowAccumulator:
                 # The others that come too late are within the gap that the first of them makes.
                 is_late = True
                 self._cut(Gap(at_ns, self.newest_ns, "hits came out of order", GapCause.EVENTS_LOST))
-            if at_ns < situation.blind_until_ns:
+            if at_ns < state.blind_until_ns:
                 self.in_gaps += 1
                 continue
             self.newest_ns = at_ns
@@ -104,14 +104,14 @@ class FlowAccumulator:
             if (handler := handlers.get(item.event)) is not None:
                 handler(item, thread)
             else:
-                thread.does_else()
+                thread.does_other_work()
             if turns is not None:
                 turns.see(item, thread)
             if topics.has_too_many_takers:
                 topics.expire(at_ns)
-                situation.store.ease()
+                state.store.ease()
         topics.expire(self.newest_ns)
-        situation.store.ease()
+        state.store.ease()
 
     def finish(self, until_ns: int = 0) -> None:
         """No more hits come, there were none until then: what waited for later ones is decided."""
@@ -132,6 +132,6 @@ class FlowAccumulator:
             # They are to be twice as many before it is done again.
             self.gaps = joined(self.gaps)
             self._join_from = 2 * max(GAPS_MAX, len(self.gaps))
-        self.situation.cut(gap.until_ns)
+        self.state.cut(gap.until_ns)
         self.topics.cut()
         self._programs.cut()

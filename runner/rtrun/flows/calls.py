@@ -3,9 +3,9 @@
 from collections.abc import Callable
 
 from rtrun.flows.messages import Endpoint, Reception
+from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import LivingThing, numbered
 from rtrun.flows.recorder import FlowRecorder
-from rtrun.flows.situation import Situation
 from rtrun.flows.threads import CallbackLog, LivingCallback, ObservedThread, OpenCallback
 from rtrun.flows.timers import LEAST_CALLS, LivingTimer, TimerLog
 from rtrun.kinds.messages import NOT_SEEN_NS
@@ -17,7 +17,7 @@ _NESTED_MAX = 64  # callbacks in one another: more were left by exceptions, and 
 class CallRecord:
     """The timers and callbacks of an observation."""
 
-    def __init__(self, situation: Situation, recorder: FlowRecorder | None) -> None:
+    def __init__(self, state: ObservationState, recorder: FlowRecorder | None) -> None:
         self.timers: dict[tuple[str, int | None, str | None, int], TimerLog] = {}
         """By label, period, clock and number among those that are alike in these."""
         self.callbacks: dict[tuple[str, str, int, int], CallbackLog] = {}
@@ -32,22 +32,22 @@ class CallRecord:
             "timer_linked": self._link_timer,
             "timer_call": self._call_timer,
         }
-        self._situation = situation
+        self._state = state
         self._recorder = recorder
 
     # Timers.
 
     def _init_timer(self, hit: Hit, thread: ObservedThread) -> None:
-        thread.does_else()
+        thread.does_other_work()
         self._made(hit, thread)
 
     def _made(self, hit: Hit, thread: ObservedThread) -> LivingTimer | None:
         handle, period_ns, clock = (hit.values.get(key) for key in ("timer", "period_ns", "clock"))
         if handle is None:
-            self._situation.unreadable += 1
+            self._state.unreadable += 1
             return None
         timers = thread.process.timers
-        if not self._situation.has_room(handle, timers):
+        if not self._state.has_room(handle, timers):
             return None
         if handle in timers:
             timers[handle].is_replaced = True
@@ -57,10 +57,10 @@ class CallRecord:
         return timer
 
     def _link_timer(self, hit: Hit, thread: ObservedThread) -> None:
-        thread.does_else()
+        thread.does_other_work()
         timer = thread.process.timers.get(hit.values.get("timer", ""))
         if timer is None:
-            self._situation.unreadable += 1
+            self._state.unreadable += 1
         else:
             timer.node = hit.values.get("node")
 
@@ -72,7 +72,7 @@ class CallRecord:
             # A timer that is given another period is another one from then on.
             timer = self._made(hit, thread)
             if timer is None:
-                thread.does_else()
+                thread.does_other_work()
                 return
         if timer.log is None:
             timer.period_ns = timer.period_ns if not isinstance(period_ns, int) else period_ns
@@ -80,13 +80,13 @@ class CallRecord:
             timer.clock = clock if isinstance(clock, str) else timer.clock
         thread.calls_timer(timer)
         expected = values.get("expected_ns")
-        call = (hit.at_ns, expected if isinstance(expected, int) else NOT_SEEN_NS, self._situation.epoch)
+        call = (hit.at_ns, expected if isinstance(expected, int) else NOT_SEEN_NS, self._state.epoch)
         if timer.log is not None:
             timer.log.add(*call[:2], timer, call[2])
             return
         timer.early.append(call)
         if len(timer.early) >= LEAST_CALLS:
-            if self._situation.is_full:
+            if self._state.is_full:
                 timer.early.clear()
                 return
             timer.log = self._log_of(timer)
@@ -95,34 +95,34 @@ class CallRecord:
             timer.early.clear()
 
     def _log_of(self, timer: LivingTimer) -> TimerLog:
-        name = self._situation.label(timer.process, timer.process.node(timer.node))
+        name = self._state.label(timer.process, timer.process.node(timer.node))
         alike = (name, timer.period_ns, timer.clock)
-        number = self._situation.numbering.number(("timer", *alike), timer)
+        number = self._state.numbering.number(("timer", *alike), timer)
         log = self.timers.get((*alike, number))
         if log is None:
-            self._situation.add_stream()
-            log = self.timers[*alike, number] = TimerLog(*alike, number, self._situation.store)
+            self._state.add_stream()
+            log = self.timers[*alike, number] = TimerLog(*alike, number, self._state.store)
         return log
 
     # Callbacks.
 
     def _link_subscription(self, hit: Hit, thread: ObservedThread) -> None:
         """rclcpp makes an object of its own for a subscription of rcl."""
-        thread.does_else()
+        thread.does_other_work()
         subscriptions, handle = thread.process.subscriptions, hit.values.get("object")
         endpoint = subscriptions.get(hit.values.get("subscription", ""))
-        if handle is not None and endpoint is not None and self._situation.has_room(handle, subscriptions):
+        if handle is not None and endpoint is not None and self._state.has_room(handle, subscriptions):
             subscriptions[handle] = endpoint
 
     def _add_callback(self, hit: Hit, thread: ObservedThread) -> None:
         """A timer or subscription is given a callback."""
-        thread.does_else()
+        thread.does_other_work()
         handle = hit.values.get("callback")
         if handle is None:
-            self._situation.unreadable += 1
+            self._state.unreadable += 1
             return
         process = thread.process
-        if not self._situation.has_room(handle, process.callbacks):
+        if not self._state.has_room(handle, process.callbacks):
             return
         if handle in process.callbacks:
             process.callbacks[handle].is_replaced = True
@@ -135,11 +135,11 @@ class CallRecord:
         cause, thread.cause = thread.cause, None
         handle = hit.values.get("callback")
         if handle is None:
-            self._situation.unreadable += 1
+            self._state.unreadable += 1
             return
         callback = thread.process.callbacks.get(handle)
         if callback is None:
-            if not self._situation.add_thing():
+            if not self._state.add_thing():
                 return
             callback = thread.process.callbacks[handle] = LivingCallback(thread.process)
         # roscpp tells the topic: another thread took the message.
@@ -171,7 +171,7 @@ class CallRecord:
             log.rows.add((begin_ns, end.at_ns))
         else:
             callback.early.append((thread, begin_ns, end.at_ns))
-            if self._situation.is_full:
+            if self._state.is_full:
                 callback.early.clear()
             elif callback.is_ready:
                 self._name(callback)
@@ -180,10 +180,10 @@ class CallRecord:
             self._recorder.callback(name, thread.process.pid, thread.tid, end.cpu, begin_ns, end.at_ns)
 
     def _name(self, callback: LivingCallback) -> None:
-        numbering = self._situation.numbering
+        numbering = self._state.numbering
         if callback.named is None:
             process = callback.process
-            callback.named = _named(self._situation.label(process, process.label), callback.owner)
+            callback.named = _named(self._state.label(process, process.label), callback.owner)
             callback.number = numbering.number(("callback", *callback.named), callback)
         for thread, begin_ns, end_ns in callback.early:
             log = callback.logs.get(thread)
@@ -192,8 +192,8 @@ class CallRecord:
                 number = numbering.number(("thread", *alike), thread)
                 log = self.callbacks.get((*alike, number))
                 if log is None:
-                    self._situation.add_stream()
-                    log = self.callbacks[*alike, number] = CallbackLog(*alike, number, self._situation.store)
+                    self._state.add_stream()
+                    log = self.callbacks[*alike, number] = CallbackLog(*alike, number, self._state.store)
                 callback.logs[thread] = log
             log.rows.add((begin_ns, end_ns))
         callback.early.clear()

@@ -10,11 +10,10 @@ from rtrun.analysis.histogram import Int64s
 from rtrun.flows import streams
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.messages import PUBLISHED, RECEIVED, MessagePair
-from rtrun.flows.situation import HITS_CLOCK
 from rtrun.flows.timers import ClockOffsets, TimerLog
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.plan.observation import StreamDeadline, StreamKind
-from rtrun.probes.hits import Gap, covered_ns
+from rtrun.probes.hits import HITS_CLOCK, Gap, covered_ns
 
 _BINS_OF_OCTAVE = 64
 # Calls of a timer whose lateness is not known before its clock is read.
@@ -247,10 +246,10 @@ class LiveFigures:
         observed = self._observed
         if observed.gaps:
             yield gaps_in_words(observed.gaps)
-        if observed.situation.left_out:
-            yield f"{counted(observed.situation.left_out, 'hit')} of more streams or programs than can be observed"
-        if observed.situation.unreadable:
-            yield f"{counted(observed.situation.unreadable, 'hit')} did not tell what they should"
+        if observed.state.left_out:
+            yield f"{counted(observed.state.left_out, 'hit')} of more streams or programs than can be observed"
+        if observed.state.unreadable:
+            yield f"{counted(observed.state.unreadable, 'hit')} did not tell what they should"
 
 
 def gaps_in_words(gaps: Sequence[Gap]) -> str:

@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import Protocol
 
 from rtrun.flows.messages import End, Payload, Publication, Reception
-from rtrun.flows.situation import Situation
+from rtrun.flows.observation_state import ObservationState
 
 # A stamp is carried as a fraction of a second with 32 bits, and comes out a nanosecond beside what went in.
 _STAMP_ROUNDING_NS = (-2, -1, 1, 2)
@@ -126,10 +126,10 @@ class _SameBytes:
 class PayloadMatching:
     """Messages of one topic by their payload; those from before the begin, or in a gap, were not seen."""
 
-    def __init__(self, fates: Fates, horizon_ns: int, situation: Situation) -> None:
+    def __init__(self, fates: Fates, horizon_ns: int, state: ObservationState) -> None:
         self._fates = fates
         self._horizon_ns = horizon_ns
-        self._situation = situation
+        self._state = state
         self._open: dict[Payload, _SameBytes] = {}
         self._oldest: deque[tuple[int, Payload]] = deque()
         self._unlike: dict[End, int] = {}
@@ -183,13 +183,13 @@ class PayloadMatching:
 
     def _is_early(self, key: Payload, at_ns: int) -> bool:
         """Whether the same bytes may have been published before the begin, and be on their way."""
-        begin_ns = self._situation.blind_until_ns
+        begin_ns = self._state.blind_until_ns
         if at_ns >= begin_ns + self._horizon_ns:
             return False
         # Bytes that begin with the time at which they were made, or have it behind a number, were not made before.
         words = key[0] & 0xFFFFFFFF, key[0] >> 32, key[1]
         times = [second * 10**9 + nanosecond for second, nanosecond in pairwise(words) if nanosecond < 10**9]
-        offsets = self._situation.offsets_ns.values()
+        offsets = self._state.offsets_ns.values()
         return not any(begin_ns <= time_ns - offset_ns <= at_ns for time_ns in times for offset_ns in offsets)
 
     def _resolve(self, same: _SameBytes, end: End) -> None:

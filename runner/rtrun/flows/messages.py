@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
+from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
-from rtrun.flows.situation import Situation
 from rtrun.kinds.messages import NOT_SEEN_NS
 
 Payload = tuple[int, int, int]
@@ -171,8 +171,8 @@ class MessagePair:
 class MessageRecord:
     """The pairs of an observation, told by the matching what became of each message."""
 
-    def __init__(self, situation: Situation) -> None:
-        self._situation = situation
+    def __init__(self, state: ObservationState) -> None:
+        self._state = state
         self.pairs: dict[tuple[End, End], MessagePair] = {}
         self.takers = 0
         """Of all publications that are remembered."""
@@ -231,6 +231,6 @@ class MessageRecord:
 
     def _pair(self, publisher: End, subscriber: End) -> MessagePair | None:
         pair = self.pairs.get((publisher, subscriber))
-        if pair is None and self._situation.add_stream():
-            pair = self.pairs[publisher, subscriber] = MessagePair(publisher, subscriber, self._situation.store)
+        if pair is None and self._state.add_stream():
+            pair = self.pairs[publisher, subscriber] = MessagePair(publisher, subscriber, self._state.store)
         return pair

@@ -82,7 +82,7 @@ class LivingThing:
         return self.process.is_alive and not self.is_replaced
 
 
-class _Mortal(Protocol):
+class _Living(Protocol):
     @property
     def is_alive(self) -> bool: ...
 
@@ -94,10 +94,10 @@ class Numbering:
     """
 
     def __init__(self) -> None:
-        self._owners: dict[Hashable, list[_Mortal]] = {}
+        self._owners: dict[Hashable, list[_Living]] = {}
         self._tidy_at = _TIDY_FROM
 
-    def number(self, alike: Hashable, owner: _Mortal) -> int:
+    def number(self, alike: Hashable, owner: _Living) -> int:
         """The number of a new owner, from 1."""
         owners = self._owners.setdefault(alike, [])
         for place, earlier in enumerate(owners):

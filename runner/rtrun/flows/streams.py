@@ -40,7 +40,7 @@ def streams(observed: FlowAccumulator) -> Iterator[Stream]:
 
 
 def _streams(observed: FlowAccumulator) -> Iterator[Stream]:
-    store = observed.situation.store
+    store = observed.state.store
     for pair in observed.topics.pairs.values():
         told_apart_by = observed.topics.told_apart_by(pair.publisher.topic)
         with _Reading(StreamKind.MESSAGES, message_identity(pair)) as reading:
@@ -201,7 +201,7 @@ def _stalled_ns(since_ns: int, longest_ns: int, observed: FlowAccumulator) -> in
 
 def _is_seen(record: End | TimerLog, observed: FlowAccumulator) -> bool:
     """Whether it lives, and no hits are missing since its last one."""
-    return record.latest is not None and record.latest[1].is_alive and record.latest[0] == observed.situation.epoch
+    return record.latest is not None and record.latest[1].is_alive and record.latest[0] == observed.state.epoch
 
 
 def _silent_ns(times: Rows, record: End | TimerLog, observed: FlowAccumulator) -> int:

@@ -139,7 +139,7 @@ class ObservedThread:
     def triggers_guard(self) -> None:
         self.triggers = 1 if self.triggers is None else self.triggers + 1
 
-    def does_else(self) -> None:
+    def does_other_work(self) -> None:
         """Something that is neither a publication nor one of the above."""
         self.cause = None
         self.taken = None

@@ -10,10 +10,10 @@ from rtfiles.output import counted
 from rtrun.analysis.histogram import Int64s
 from rtrun.flows.programs import Handle, LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
-from rtrun.flows.situation import HITS_CLOCK
 from rtrun.flows.values import int64s, steps
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.output import no_values
+from rtrun.probes.hits import HITS_CLOCK
 from rtrun.results.columns import PIECE_ROWS, collected
 
 LEAST_CALLS = 3

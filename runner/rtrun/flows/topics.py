@@ -4,10 +4,10 @@ from collections.abc import Callable, Mapping
 
 from rtrun.flows.matching import PayloadMatching, StampMatching, has_header
 from rtrun.flows.messages import TAKERS_MAX, End, Endpoint, MessageRecord, Payload, Publication, Reception
+from rtrun.flows.observation_state import FAULT, ObservationState
 from rtrun.flows.paths import PathRecord
 from rtrun.flows.programs import NAME_CHARACTERS_MAX, Handle, LivingProcess, full_name
 from rtrun.flows.recorder import FlowRecorder
-from rtrun.flows.situation import FAULT, Situation
 from rtrun.flows.threads import ObservedThread
 from rtrun.probes.hits import Hit
 
@@ -22,8 +22,10 @@ _HORIZON_LEAST_NS = 10**6
 class TopicRecord(MessageRecord):
     """The publishers and subscribers of an observation, and their messages."""
 
-    def __init__(self, situation: Situation, paths: PathRecord, horizon_ns: int, recorder: FlowRecorder | None) -> None:
-        super().__init__(situation)
+    def __init__(
+        self, state: ObservationState, paths: PathRecord, horizon_ns: int, recorder: FlowRecorder | None
+    ) -> None:
+        super().__init__(state)
         self.ends: dict[tuple[str, str, str], End] = {}
         """By role, topic and label."""
         self.handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
@@ -33,7 +35,7 @@ class TopicRecord(MessageRecord):
             "publisher_init": lambda hit, thread: self._init(hit, thread, PUBLISHER, thread.process.publishers),
             "subscription_init": self._init_subscription,
         }
-        self._situation = situation
+        self._state = state
         self._paths = paths
         self._horizon_ns = horizon_ns
         self._recorder = recorder
@@ -83,10 +85,10 @@ class TopicRecord(MessageRecord):
         process = thread.process
         endpoint = self._endpoint_of(hit, process, PUBLISHER, process.publishers)
         if endpoint is None:
-            self._situation.unreadable += 1
+            self._state.unreadable += 1
             return
         at_ns = hit.at_ns
-        index = endpoint.end.add(at_ns, endpoint, self._situation.epoch)
+        index = endpoint.end.add(at_ns, endpoint, self._state.epoch)
         publication = Publication(endpoint, index, at_ns, hit.tid, hit.cpu)
         if self._paths.paths:
             self._paths.published(publication, thread.handled)
@@ -101,16 +103,16 @@ class TopicRecord(MessageRecord):
             thread.cause = None
             return
         if hit.values.get("topic") in _OF_ROS:
-            thread.does_else()
+            thread.does_other_work()
             return
         key = key_of(hit.values)
         process = thread.process
         endpoint = self._endpoint_of(hit, process, SUBSCRIBER, process.subscribers)
         if endpoint is None or key is None:
-            self._situation.unreadable += 1
-            thread.does_else()
+            self._state.unreadable += 1
+            thread.does_other_work()
             return
-        endpoint.end.add(hit.at_ns, endpoint, self._situation.epoch)
+        endpoint.end.add(hit.at_ns, endpoint, self._state.epoch)
         reception = Reception(endpoint, hit.at_ns, hit.tid, hit.cpu)
         if isinstance(key, int):
             self._stamped(endpoint.topic).receive(key, reception)
@@ -141,22 +143,22 @@ class TopicRecord(MessageRecord):
         node: Handle | None = None,
         begin_ns: int | None = None,
     ) -> Endpoint | None:
-        situation = self._situation
-        if situation.is_full or not situation.has_room(handle, known):
+        state = self._state
+        if state.is_full or not state.has_room(handle, known):
             return None
         if handle in known:
             known[handle].is_replaced = True
         endpoint = known[handle] = Endpoint(process, topic, begin_ns)
-        label = self._situation.label(process, process.node(node))
-        number = self._situation.numbering.number((role, topic, label), endpoint)
+        label = self._state.label(process, process.node(node))
+        number = self._state.numbering.number((role, topic, label), endpoint)
         if number > 1:
             # Of several in one process.
             label = f"{label} ({number})"
-            situation.add_pid(label, process.pid)
+            state.add_pid(label, process.pid)
         end = self.ends.get((role, topic, label))
         if end is None:
-            situation.add_stream()
-            end = self.ends[role, topic, label] = End(topic, label, situation.store)
+            state.add_stream()
+            end = self.ends[role, topic, label] = End(topic, label, state.store)
         endpoint.end = end
         return endpoint
 
@@ -169,15 +171,15 @@ class TopicRecord(MessageRecord):
     def _unstamped(self, topic: str) -> PayloadMatching:
         matching = self._by_bytes.get(topic)
         if matching is None:
-            matching = PayloadMatching(self, self._horizon_ns, self._situation)
+            matching = PayloadMatching(self, self._horizon_ns, self._state)
             self._by_bytes[topic] = matching
         return matching
 
     def _init(self, hit: Hit, thread: ObservedThread, role: str, known: dict[Handle, Endpoint]) -> None:
         handle, topic = hit.values.get("endpoint"), hit.values.get("topic")
-        thread.does_else()
+        thread.does_other_work()
         if handle is None or not isinstance(topic, str) or topic in ("", FAULT) or len(topic) > NAME_CHARACTERS_MAX:
-            self._situation.unreadable += 1
+            self._state.unreadable += 1
         else:
             self._made(thread.process, role, topic, handle, known, hit.values.get("node"), hit.at_ns)
 
@@ -185,18 +187,18 @@ class TopicRecord(MessageRecord):
         process = thread.process
         self._init(hit, thread, SUBSCRIBER, process.subscribers)
         handle, endpoint = hit.values.get("subscription"), process.subscribers.get(hit.values.get("endpoint", ""))
-        if handle is not None and endpoint is not None and self._situation.has_room(handle, process.subscriptions):
+        if handle is not None and endpoint is not None and self._state.has_room(handle, process.subscriptions):
             process.subscriptions[handle] = endpoint
 
     def _init_node(self, hit: Hit, thread: ObservedThread) -> None:
         node, name, namespace = (hit.values.get(key, "") for key in ("node", "name", "namespace"))
-        thread.does_else()
+        thread.does_other_work()
         if not node or not isinstance(name, str) or not isinstance(namespace, str) or name in ("", FAULT):
-            self._situation.unreadable += 1
+            self._state.unreadable += 1
             return
         if len(name) + len(namespace) > NAME_CHARACTERS_MAX:
-            self._situation.unreadable += 1
-        elif self._situation.has_room(node, thread.process.names_of_nodes):
+            self._state.unreadable += 1
+        elif self._state.has_room(node, thread.process.names_of_nodes):
             thread.process.names_of_nodes[node] = full_name(name, "" if namespace == FAULT else namespace)
 
 

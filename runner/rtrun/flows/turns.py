@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from rtrun.causes.ftrace import CALLBACK_CHARACTERS_MAX
 from rtrun.flows.messages import Endpoint, Reception
+from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import LivingProcess, LivingThing, numbered
-from rtrun.flows.situation import Situation
 from rtrun.flows.threads import ObservedThread, OpenTurn
 from rtrun.flows.timers import LivingTimer, timer_name
 from rtrun.probes.hits import Hit
@@ -32,9 +32,9 @@ class TurnRecord:
     C, of a thread that is seen to wait, where it waits or takes the next. Of roscpp no end is seen.
     """
 
-    def __init__(self, on_turn: Callable[[Turn], None], situation: Situation) -> None:
+    def __init__(self, on_turn: Callable[[Turn], None], state: ObservationState) -> None:
         self._on_turn = on_turn
-        self._label = situation.label
+        self._label = state.label
 
     def see(self, hit: Hit, thread: ObservedThread) -> None:
         """Look at a hit after the thread has."""

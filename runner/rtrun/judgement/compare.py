@@ -12,7 +12,7 @@ from rtrun.judgement.digest import pool_figures
 from rtrun.judgement.groups import Group
 from rtrun.judgement.sides import By, split
 from rtrun.judgement.study import Study, study
-from rtrun.kinds.known import ELSE_IN_2014
+from rtrun.kinds.known import MAIN_ONLY_IN_2014
 from rtrun.plan.question import Question
 from rtrun.targets.inspection.platform import Platform
 
@@ -79,7 +79,7 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
             f"{first.source.path} was measured on {first.platform.machine}, {second.source.path} on "
             f"{second.platform.machine}: times of different platforms are not compared"
         )
-    as_in_2014 = {group.suite for side in (first, second) for group in side.groups if group.series in ELSE_IN_2014}
+    as_in_2014 = {group.suite for side in (first, second) for group in side.groups if group.series in MAIN_ONLY_IN_2014}
     sides = [_by_circumstances(side, as_in_2014) for side in (first, second)]
     matches = [_match(*(side.get(key, []) for side in sides)) for key in dict.fromkeys((*sides[0], *sides[1]))]
     pairs = [pair for match in matches for pair in match.pairs]

@@ -12,7 +12,7 @@ from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.judgement.digest import JudgedDigest
-from rtrun.kinds.known import ELSE_IN_2014
+from rtrun.kinds.known import MAIN_ONLY_IN_2014
 from rtrun.plan.observation import stream_words
 from rtrun.plan.question import Measure, Question
 from rtrun.plan.suites import NOT_TELLING, Value, measures, options, telling_parameters
@@ -78,7 +78,7 @@ class Group:
     @property
     def label(self) -> str:
         """Suite and parameters in a few words; the series, too, where its suite is judged by another one else."""
-        told = self.series in ELSE_IN_2014 or (self.of is not None and self.of != measures(self.suite)[0])
+        told = self.series in MAIN_ONLY_IN_2014 or (self.of is not None and self.of != measures(self.suite)[0])
         observed, others = stream_words(self.suite, self.parameters)
         words = [observed or self.suite.removesuffix("_tests"), self.series if told else ""]
         return " ".join(filter(None, [*words, format_parameters(others)]))

@@ -28,7 +28,7 @@ def kind_of(suite: str) -> MeasurementKind | None:
 
 MAIN_2014 = frozenset(form.main for form in LOGS.values())
 """The series that the suites were about in 2014."""
-ELSE_IN_2014 = frozenset(
+MAIN_ONLY_IN_2014 = frozenset(
     kind.logs.main for kind in KINDS.values() if kind.logs and kind.logs.main != next(iter(kind.called))
 )
 """Those of which today's suites are about another one."""

@@ -8,6 +8,12 @@ from typing import NamedTuple
 GAPS_MAX = 10_000
 """Of one cause, of an observation; where there are more, those that lie close together become one."""
 
+HITS_CLOCK = "steady"
+"""The clock of the hits, CLOCK_MONOTONIC. The offset of any other clock to it has to be read.
+
+``system`` is CLOCK_REALTIME, ``raw`` is CLOCK_MONOTONIC_RAW.
+"""
+
 
 class Hit(NamedTuple):
     """A probed function was called, or returned.

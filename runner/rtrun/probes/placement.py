@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rtfiles import cache
 from rtfiles.untrusted import MIB, read_bytes
 from rtrun.probes.libraries.description import Argument, Probe, libraries
-from rtrun.probes.programs import FoundProgram, MappedLibrary
+from rtrun.probes.programs import MappedLibrary, ObservableProgram
 from rtrun.probes.symbols import FILE_BYTES_MAX, LibrarySymbols, NotProbed, read_symbols
 from rtrun.probes.values import recorded
 from rtrun.targets.errors import ConnectionLost, TargetError, TargetGone
@@ -106,13 +106,13 @@ class _LibraryFile:
     path: str
 
 
-def place(link: "Link", found: Sequence[FoundProgram], *, events: Collection[str]) -> Placement:
+def place(link: "Link", found: Sequence[ObservableProgram], *, events: Collection[str]) -> Placement:
     """Resolve the probes for the libraries of these programs; only their files are read from the target.
 
     `events` are the canonical names of those that are to be placed. Raises TargetError.
     """
     mapping = [(program, each) for program in found for each in program.mapped]
-    users: dict[tuple[str, int], list[tuple[FoundProgram, MappedLibrary]]] = {}
+    users: dict[tuple[str, int], list[tuple[ObservableProgram, MappedLibrary]]] = {}
     for program, each in mapping:
         users.setdefault((each.device, each.inode), []).append((program, each))
     release, files = _look(link, [pair for each in list(users.values())[:FILES_MAX] for pair in each])
@@ -214,7 +214,7 @@ def line_of(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without
 
 
 def _look(
-    link: "Link", users: Collection[tuple[FoundProgram, MappedLibrary]]
+    link: "Link", users: Collection[tuple[ObservableProgram, MappedLibrary]]
 ) -> tuple[tuple[int, ...], dict[tuple[str, int], _LibraryFile]]:
     """Ask for the kernel's release, and for the files that these processes map, by device and inode.
 

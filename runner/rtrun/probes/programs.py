@@ -65,7 +65,7 @@ class MappedLibrary:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FoundProgram:
+class ObservableProgram:
     """A program and the libraries with probes that it maps."""
 
     program: ObservedProgram
@@ -76,7 +76,7 @@ class FoundProgram:
 class FoundPrograms:
     """The programs of a target; of those beyond a limit it is known only that there are `left_out`."""
 
-    found: tuple[FoundProgram, ...]
+    found: tuple[ObservableProgram, ...]
     left_out: int
 
 
@@ -131,12 +131,12 @@ class ProgramReader:
         self._pid: int | None = None
         self._lines: list[str] = []
         self._line_bytes = 0
-        self._found: dict[int, FoundProgram] = {}
+        self._found: dict[int, ObservableProgram] = {}
         self._room = _Room()
         self._left_out = 0
         self._cpu_sets = _CpuSets()
 
-    def take(self, raw: bytes) -> FoundProgram | None:
+    def take(self, raw: bytes) -> ObservableProgram | None:
         """Take a line, without its end; return the program that it completes."""
         line = raw.decode("utf-8", "backslashreplace")
         try:
@@ -145,7 +145,7 @@ class ProgramReader:
             raise TargetError(f"{self._origin}: what find_programs.sh printed cannot be read: {error}") from None
 
     @property
-    def found(self) -> tuple[FoundProgram, ...]:
+    def found(self) -> tuple[ObservableProgram, ...]:
         """The programs so far."""
         return tuple(self._found.values())
 
@@ -160,7 +160,7 @@ class ProgramReader:
             raise TargetError(f"{self._origin}: what find_programs.sh printed cannot be read: {within}")
         return FoundPrograms(found=self.found, left_out=self._left_out)
 
-    def _take(self, line: str, size_bytes: int) -> FoundProgram | None:
+    def _take(self, line: str, size_bytes: int) -> ObservableProgram | None:
         word, _, rest = line.partition(" ")
         if self._pid is None:
             if line:
@@ -177,7 +177,7 @@ class ProgramReader:
             self._lines.append(line)
         return None
 
-    def _added(self, pid: int, lines: Sequence[str]) -> FoundProgram | None:
+    def _added(self, pid: int, lines: Sequence[str]) -> ObservableProgram | None:
         program = _program(pid, lines, lambda ranges: self._cpu_sets.share(ranges, lambda: _cpus(ranges)))
         if program is None:
             return None
@@ -230,7 +230,7 @@ class Roster:
     listing has sets of CPUs of its own: what is kept of all of them has CPU_SETS_MAX.
     """
 
-    def __init__(self, found: Iterable[FoundProgram], left_out: int = 0) -> None:
+    def __init__(self, found: Iterable[ObservableProgram], left_out: int = 0) -> None:
         self.left_out = left_out
         self._alive: dict[int, ObservedProgram] = {}
         self._seen: dict[tuple[int, int], ObservedProgram] = {}
@@ -276,7 +276,7 @@ def _text_bytes(program: ObservedProgram) -> int:
     return sum(map(getsizeof, names))
 
 
-def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int, ...]]) -> FoundProgram | None:
+def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int, ...]]) -> ObservableProgram | None:
     """Read the lines of one process; None where it has ended, or maps nothing any more."""
     arguments: list[str] = []
     stat: list[str] = []
@@ -316,7 +316,7 @@ def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int,
         libraries=tuple(mapped),
         threads=tuple(threads),
     )
-    return FoundProgram(program=program, mapped=tuple(mapped.values()))
+    return ObservableProgram(program=program, mapped=tuple(mapped.values()))
 
 
 def _thread(match: re.Match[str], cpus: dict[int, tuple[int, ...]]) -> tuple[ProgramThread, int]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rtrun.probes.hits import Gap, GapCause
 from rtrun.probes.placement import PlacedProbe, Placement, RefusedProbe
-from rtrun.probes.programs import FoundProgram, pattern
+from rtrun.probes.programs import ObservableProgram, pattern
 from rtrun.probes.stream import Batch, Ready, WatchReader
 from rtrun.targets.errors import ConnectionLost, TargetError
 from rtrun.targets.link import TargetRebooted
@@ -76,7 +76,7 @@ def observe(
     link: "Link",
     scripts: PurePosixPath,
     placement: Placement,
-    programs: Sequence[FoundProgram],
+    programs: Sequence[ObservableProgram],
     *,
     for_s: float,
     kernel_events: Collection[str] = (),
@@ -117,7 +117,7 @@ class _Watching:
         link: "Link",
         scripts: PurePosixPath,
         placement: Placement,
-        programs: Sequence[FoundProgram],
+        programs: Sequence[ObservableProgram],
         for_s: float,
         kernel_events: tuple[str, ...],
         limit_per_s: int,

@@ -17,7 +17,7 @@ from rtrun.probes.formats import EventFormat
 from rtrun.probes.hits import Gap, GapCause, Hit
 from rtrun.probes.kernel_events import EventKind, KernelEvents, WaitingEvents
 from rtrun.probes.placement import PlacedProbe
-from rtrun.probes.programs import LINE_BYTES_MAX, THREADS_MAX, FoundProgram, ProgramReader
+from rtrun.probes.programs import LINE_BYTES_MAX, THREADS_MAX, ObservableProgram, ProgramReader
 from rtrun.probes.ring_buffer import PageLayout, read_events, read_head
 from rtrun.probes.timers import TimerChecks
 from rtrun.probes.values import Values, converter, recorded
@@ -70,7 +70,7 @@ class Batch:
     hits: tuple[Hit, ...]
     kernel: KernelEvents
     gaps: tuple[Gap, ...]
-    programs: tuple[FoundProgram, ...]
+    programs: tuple[ObservableProgram, ...]
     ended: tuple[int, ...]
     realtime_offset_ns: int | None
 

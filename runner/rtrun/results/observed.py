@@ -50,7 +50,7 @@ def write_graph(folder: Path, graph: Graph) -> None:
     atomic.write_text(folder / GRAPH, graph.model_dump_json(by_alias=True, indent=1) + "\n")
 
 
-def said_of(folders: Iterable[Path]) -> tuple[str, ...]:
+def remarks_of(folders: Iterable[Path]) -> tuple[str, ...]:
     """What the observations in these run directories say is missing in them, and what threatens real time, each once.
 
     Raises UsageError for a damaged file.

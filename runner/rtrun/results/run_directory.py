@@ -173,7 +173,7 @@ def filling(folder: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def together(results: Path, number: str) -> Iterator[Path]:
+def all_or_none(results: Path, number: str) -> Iterator[Path]:
     """Yield an empty folder to close run directories in: at the end all of them stand in `results`, or none does.
 
     The one that is called `number` comes last. Raises InfrastructureError where there is no room for all.

@@ -23,10 +23,10 @@ from rtrun.archive import notes, told
 from rtrun.archive.alarms import Alarm
 from rtrun.archive.compacting import Compaction, compact
 from rtrun.archive.notes import AcceptNote, IgnoreNote, KnownNote, RetainNote, WithdrawNote, add_note, read_notes
+from rtrun.archive.notifications import ALARMS_MAX, add_told, read_told
 from rtrun.archive.runs import read_archive
 from rtrun.archive.stamps import next_stamp, read_stamp
 from rtrun.archive.store import make_archive, open_archive
-from rtrun.archive.told import ALARMS_MAX, add_told, read_told
 from rtrun.cli import main
 from rtrun.commands.archive import _TOLD_BY as OPTIONS
 

@@ -4,7 +4,7 @@ import pytest
 from made_flows import gap, hit, node, program, publish, take
 
 from rtrun.causes.ftrace import CALLBACK_CHARACTERS_MAX
-from rtrun.flows import accumulator, matching, situation, topics
+from rtrun.flows import accumulator, matching, observation_state, topics
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.programs import NAME_CHARACTERS_MAX, label_of
 from rtrun.probes import hits
@@ -21,30 +21,30 @@ SUBSCRIPTIONS = [take(n, n, f"/{n}", endpoint=n) for n in range(1, MORE)]
 
 @pytest.mark.parametrize("seen", [CALLS, THREADS, NODES, TIMERS, TOPICS, SUBSCRIPTIONS])
 def test_things_that_live(monkeypatch, seen):
-    monkeypatch.setattr(situation, "THINGS_MAX", LIMIT)
+    monkeypatch.setattr(observation_state, "THINGS_MAX", LIMIT)
     observed = FlowAccumulator(begin_ns=0)
     observed.feed(seen)
     processes, threads = observed._programs.processes.values(), observed._programs.threads
     assert sum(process.things for process in processes) + len(threads) == LIMIT
-    assert observed.situation.left_out >= MORE - 1 - LIMIT
+    assert observed.state.left_out >= MORE - 1 - LIMIT
 
 
 @pytest.mark.parametrize("seen", [TOPICS, SUBSCRIPTIONS])
 def test_streams(monkeypatch, seen):
-    monkeypatch.setattr(situation, "STREAMS_MAX", LIMIT)
+    monkeypatch.setattr(observation_state, "STREAMS_MAX", LIMIT)
     observed = FlowAccumulator(begin_ns=0)
     observed.feed(seen)
     assert len(observed.topics.ends) == LIMIT
 
 
 def test_pids_of_names_of_programs_that_have_ended(monkeypatch):
-    monkeypatch.setattr(situation, "LABELS_MAX", LIMIT)
+    monkeypatch.setattr(observation_state, "LABELS_MAX", LIMIT)
     observed = FlowAccumulator(begin_ns=0)
     observed.observe([node(1, "a")])
     for pid in range(2, MORE):
         observed.observe([node(pid, "a" if pid % 2 else f"a{pid}")])
         observed.feed([publish(pid, pid=pid)])
-    pids = observed.situation.pids
+    pids = observed.state.pids
     assert sum(map(len, pids.values())) == LIMIT and pids["/a"] >= {1, 3}
 
 

@@ -152,7 +152,7 @@ def test_what_ros_sends_for_itself_is_no_stream():
     for topic in ("/a", "ros_discovery_info", "/parameter_events"):
         observed.feed([publish(observed.newest_ns + 1, topic)])
         observed.feed([take(observed.newest_ns + 1, observed.newest_ns, topic)])
-    assert {end.topic for end in observed.topics.ends.values()} == {"/a"} and not observed.situation.unreadable
+    assert {end.topic for end in observed.topics.ends.values()} == {"/a"} and not observed.state.unreadable
 
 
 def test_a_program_has_one_name_on_all_topics():
@@ -164,7 +164,7 @@ def test_a_program_has_one_name_on_all_topics():
     assert {(end.topic, end.label) for end in observed.topics.ends.values()} == {
         ("/a", "/camera"), ("/a", "/camera#2"), ("/b", "/camera#2"), ("/b", "/camera#2 (2)")
     }  # fmt: skip
-    assert observed.situation.pids["/camera#2"] == observed.situation.pids["/camera#2 (2)"] == {2}
+    assert observed.state.pids["/camera#2"] == observed.state.pids["/camera#2 (2)"] == {2}
 
 
 @pytest.mark.parametrize("heard_first", [1, 2])
@@ -488,7 +488,7 @@ def test_hits_that_cannot_be_read_are_counted():
             hit(10, "callback_end"),
         ]
     )
-    assert observed.situation.unreadable == 8
+    assert observed.state.unreadable == 8
     assert messages(observed) == {}
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from rtrun.probes.libraries.description import events
 from rtrun.probes.placement import place
-from rtrun.probes.programs import FoundProgram, find_programs
+from rtrun.probes.programs import ObservableProgram, find_programs
 from rtrun.probes.session import Observed, observe
 from rtrun.targets.deploy import ON_TARGET
 from rtrun.targets.link import Link
@@ -51,7 +51,9 @@ def running(*argv: object, **more: object) -> "Iterator[subprocess.Popen[str]]":
             process.kill()
 
 
-def find(link: Link, *pids: int, scripts: PurePosixPath = SCRIPTS, within_s: float = 30) -> tuple[FoundProgram, ...]:
+def find(
+    link: Link, *pids: int, scripts: PurePosixPath = SCRIPTS, within_s: float = 30
+) -> tuple[ObservableProgram, ...]:
     """Those of these processes that can be observed, once all of them can: a library is loaded after the start."""
     deadline = time.monotonic() + within_s
     while True:

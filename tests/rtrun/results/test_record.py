@@ -141,7 +141,7 @@ def test_run_directories_that_belong_together_are_all_there_or_none_is(tmp_path)
     try:
         for size, kept in ((200_000, []), (50_000, ["001", "001-a", "001-b"])):
             full = pytest.raises(InfrastructureError, match=r"the disk took no more \(.*\); nothing of 001 is kept")
-            with contextlib.nullcontext() if kept else full, run_directory.together(tmp_path, "001") as staged:
+            with contextlib.nullcontext() if kept else full, run_directory.all_or_none(tmp_path, "001") as staged:
                 for name in ("001-a", "001-b", "001"):
                     with run_directory.filling(staged / name) as partial:
                         np.save(partial / "a.npy", np.zeros(size, np.int8))

@@ -23,7 +23,7 @@ from rtrun.results.importers.samples_file import ImportedSamples, write_samples
 from rtrun.results.record import RunRecord, RunStatus
 from rtrun.targets.inspection.platform import Platform
 
-NOBODY_KNOWS = Identity()
+UNKNOWN_IDENTITY = Identity()
 
 
 def adopt(
@@ -31,7 +31,7 @@ def adopt(
     results: Path,
     *,
     platform: Platform,
-    identity: Identity = NOBODY_KNOWS,
+    identity: Identity = UNKNOWN_IDENTITY,
     called: str | None = None,
     given: Given = NOTHING_GIVEN,
 ) -> list[tuple[Path, tuple[str, ...]]]:

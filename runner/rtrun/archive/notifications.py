@@ -18,7 +18,7 @@ _BYTES_MAX = 1 << 20
 _Level = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class ToldAlarm(Config):
+class NotifiedAlarm(Config):
     """An alarm of a message, by its key: the last run that was known then, and the levels of its figures."""
 
     key: Annotated[str, matching("[0-9a-f]{64}", "a SHA-256")]
@@ -26,24 +26,24 @@ class ToldAlarm(Config):
     levels: Annotated[dict[str, _Level], Field(max_length=10)] = Field(default_factory=dict)
 
 
-class ToldMessage(Config):
+class Notification(Config):
     """A message that a receiver took, at a time in UTC without a zone."""
 
     schema_number: Literal[1] = Field(alias="schema")
     at: Moment
     receiver: Annotated[str, Field(min_length=1, max_length=200)]
-    alarms: Annotated[list[ToldAlarm], Field(max_length=ALARMS_MAX)]
+    alarms: Annotated[list[NotifiedAlarm], Field(max_length=ALARMS_MAX)]
 
 
-_KIND = EntryKind(folder="told", reader=TypeAdapter(ToldMessage), entries_max=_MESSAGES_MAX, bytes_max=_BYTES_MAX)
+_KIND = EntryKind(folder="told", reader=TypeAdapter(Notification), entries_max=_MESSAGES_MAX, bytes_max=_BYTES_MAX)
 
 
-def read_told(store: Store) -> list[ToldMessage]:
+def read_told(store: Store) -> list[Notification]:
     """Every message, the first one first. Raises UsageError for a file that is none, InfrastructureError."""
     return [message for _, message in read_entries(store, _KIND)]
 
 
-def check_memory(store: Store, messages: Sequence[ToldMessage], more: int) -> None:
+def check_memory(store: Store, messages: Sequence[Notification], more: int) -> None:
     """Raise UsageError where the archive cannot remember so many more messages: all would be told again."""
     check_room(store, _KIND, len(messages), more)
 
@@ -51,23 +51,25 @@ def check_memory(store: Store, messages: Sequence[ToldMessage], more: int) -> No
 def add_told(store: Store, receiver: str, alarms: Collection[Alarm], now: datetime) -> None:
     """Remember that a receiver was told of alarms. Raises UsageError, InfrastructureError."""
     told = [
-        ToldAlarm(key=one.key, last_run=one.last_run, levels={name: level for name, (level, _) in one.levels.items()})
+        NotifiedAlarm(
+            key=one.key, last_run=one.last_run, levels={name: level for name, (level, _) in one.levels.items()}
+        )
         for one in alarms
     ]
-    message = ToldMessage(schema=1, at=now, receiver=receiver, alarms=told)
+    message = Notification(schema=1, at=now, receiver=receiver, alarms=told)
     add_entry(store, _KIND, message, now)
 
 
-def not_told(receiver: str, alarms: Sequence[Alarm], messages: Sequence[ToldMessage]) -> list[Alarm]:
+def not_told(receiver: str, alarms: Sequence[Alarm], messages: Sequence[Notification]) -> list[Alarm]:
     """The alarms that a receiver has not heard of, of those that are not known."""
-    told: dict[str, ToldAlarm] = {}
+    told: dict[str, NotifiedAlarm] = {}
     for message in messages:
         if message.receiver == receiver:
             told |= {each.key: each for each in message.alarms}  # the last one counts
     return [alarm for alarm in alarms if alarm.known is None and _is_new(alarm, told.get(alarm.key))]
 
 
-def _is_new(alarm: Alarm, told: ToldAlarm | None) -> bool:
+def _is_new(alarm: Alarm, told: NotifiedAlarm | None) -> bool:
     if told is None:
         return True
     if alarm.begins and told.last_run and alarm.begins > told.last_run:

@@ -4,12 +4,8 @@ from collections.abc import Mapping
 
 from rtrun.flows.programs import Handle, LivingProcess, Numbering, numbered
 from rtrun.flows.rows import RowStore
+from rtrun.probes.hits import HITS_CLOCK
 
-HITS_CLOCK = "steady"
-"""The clock of the hits, CLOCK_MONOTONIC. How another one lies to it has to be told.
-
-``system`` is CLOCK_REALTIME, ``raw`` is CLOCK_MONOTONIC_RAW.
-"""
 FAULT = "(fault)"
 """The kernel's word for a text that it could not read."""
 
@@ -22,7 +18,7 @@ THINGS_MAX = 50_000
 LABELS_MAX = 50_000
 
 
-class Situation:
+class ObservationState:
     """Where an observation stands. `epoch` counts the gaps: what was seen in two epochs may not be joined."""
 
     def __init__(self, begin_ns: int, store: RowStore) -> None:

@@ -2,17 +2,17 @@
 
 from collections.abc import Iterable
 
+from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import LivingProcess
-from rtrun.flows.situation import Situation
 from rtrun.flows.threads import ObservedThread
 from rtrun.probes.hits import ObservedProgram
 
 
-class LivingPrograms:
+class ProcessTable:
     """The processes and threads that hits come from."""
 
-    def __init__(self, situation: Situation) -> None:
-        self._situation = situation
+    def __init__(self, state: ObservationState) -> None:
+        self._state = state
         self.processes: dict[int, LivingProcess] = {}
         self.threads: dict[int, ObservedThread] = {}
         self._ran_before: frozenset[tuple[str, ...]] | None = None
@@ -36,7 +36,7 @@ class LivingPrograms:
             self._ran_before = frozenset(program.argv for program in listed.values())
         for pid, program in listed.items():
             if pid not in self.processes:
-                if not self._situation.add_thing():
+                if not self._state.add_thing():
                     continue
                 has_own_name = program.argv in self._ran_before
                 self.processes[pid] = LivingProcess(pid, program, has_own_name=has_own_name)
@@ -48,7 +48,7 @@ class LivingPrograms:
             if program and program.threads and all(thread.tid != one.tid for one in program.threads):
                 thread.has_ended = True
                 del self.threads[thread.tid]
-                self._situation.drop_things(1)
+                self._state.drop_things(1)
 
     def thread(self, pid: int, tid: int) -> ObservedThread | None:
         """The thread of a hit; None where there is no room for it.
@@ -61,10 +61,10 @@ class LivingPrograms:
             pid = pid or -tid
             process = self.processes.get(pid)
             if process is None:
-                if not self._situation.add_thing():
+                if not self._state.add_thing():
                     return None
                 process = self.processes[pid] = LivingProcess(pid, None)
-            if thread is None and not self._situation.add_thing():
+            if thread is None and not self._state.add_thing():
                 return None
             thread = self.threads[tid] = ObservedThread(tid, process)
         return thread
@@ -74,7 +74,7 @@ class LivingPrograms:
         del self.processes[process.pid]
         before = len(self.threads)
         self.threads = {tid: thread for tid, thread in self.threads.items() if thread.process is not process}
-        self._situation.drop_things(process.things + before - len(self.threads))
+        self._state.drop_things(process.things + before - len(self.threads))
 
     def cut(self) -> None:
         """Hits are missing."""
