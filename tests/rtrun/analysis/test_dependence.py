@@ -84,3 +84,21 @@ def test_clusters() -> None:
     assert cluster_effect([(1000, 0), (1000, 1)]) == pytest.approx(1, rel=0.01)
     assert cluster_effect([(1000, 0)] * 7 + [(1000, 40)]) == pytest.approx(40, rel=0.02)
     assert cluster_effect([(1000, 0), (1000, 0)]) == cluster_effect([(1000, 3)]) == cluster_effect([]) == 1.0
+
+
+def test_independent_events_rarely_seem_to_come_together() -> None:
+    """At each length of blocks once in two hundred times, and it is the same blocks again at the next one."""
+    rng = np.random.default_rng(5)
+    seem = [design_effect(locate(np.sort(rng.choice(20_000, 200, replace=False)), 20_000)) > 1 for _ in range(1000)]
+    assert 0.003 < np.mean(seem) < 0.04
+
+
+def test_few_pairs_of_events_are_seen() -> None:
+    """Of 400 events 60 come twice: an effect of 1.3, which a larger threshold would leave out."""
+    rng = np.random.default_rng(6)
+    seen = 0
+    for _ in range(100):
+        starts = np.sort(rng.choice(10_000, 340, replace=False)) * 4
+        places = np.unique(np.concatenate((starts, rng.choice(starts, 60, replace=False) + 1)))
+        seen += design_effect(locate(places, 40_000)) > 1.1
+    assert seen > 60

@@ -230,3 +230,13 @@ def test_the_last_hits_of_a_program_that_has_ended_are_still_its_own():
     observed.feed([sent(30, pid=7)])
     (stream,) = streams(observed)
     assert stream.counts["messages"] == 3 and stream.cuts.tolist() == [2]
+
+
+def test_callbacks_within_one_another_beyond_64_were_left_by_exceptions():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(2, "detector")])
+    observed.feed([begin(MS * k, callback=k) for k in range(1, 65)])
+    thread = observed._programs.thread(2, 2)
+    assert len(thread.callbacks) == 64
+    observed.feed([begin(MS * 65, callback=65)])
+    assert [each.begin_ns for each in thread.callbacks] == [MS * 65]

@@ -54,3 +54,10 @@ def test_a_hazard_of_several_programs_is_said_once():
     many = [program(f"node{k}", ("main", "OTHER", 0, (0,))) for k in range(6)]
     (line,) = hazards(many)
     assert line.startswith("node0 (pid 5), node1 (pid 5), ") and " and 2 more: no thread is real-time" in line
+
+
+def test_nothing_goes_before_a_thread_with_a_budget():
+    """SCHED_DEADLINE comes before every priority."""
+    budget = program("budget", ("loop", "DEADLINE", 0, (0, 1)))
+    above = program("above", ("main", "FIFO", 99, (0, 1)))
+    assert not [line for line in hazards((budget, above)) if line.startswith("budget")]

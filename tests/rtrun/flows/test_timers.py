@@ -1,11 +1,14 @@
 """Timers of known lateness, on clocks that go on, drift and are set."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
-from made_flows import MS, S, gap, hit, node
+from made_flows import BEGIN_NS, MS, S, gap, hit, node
 
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.flows.streams import streams
+from rtrun.flows.streams import _stalled_ns, streams
+from rtrun.flows.timers import ClockOffsets
 from rtrun.plan.observation import StreamKind
 
 PERIOD_NS = 10 * MS
@@ -146,3 +149,32 @@ def test_another_period_makes_another_timer():
     found = timers(accumulate(made))
     assert [stream.period_ns for stream in found] == [10 * MS, 20 * MS]
     assert [stream.counts["calls"] for stream in found] == [50, 50]
+
+
+@pytest.mark.parametrize(
+    ("passed_ns", "moved_ns", "is_followed"),
+    [
+        (10 * S, 5 * MS, True),
+        (10 * S, -5 * MS, True),
+        (10 * S, 5 * MS + 30_000, False),
+        (MS, 20_000, True),
+        (MS, 21_000, False),
+    ],
+)
+def test_a_clock_may_drift_by_500_ppm_and_20_us_and_steps_beyond(passed_ns, moved_ns, is_followed):
+    """As NTP disciplines it, and as two readings on a busy machine differ."""
+    offsets = ClockOffsets()
+    offsets.add("system", 0, 0)
+    offsets.add("system", passed_ns, moved_ns)
+    offset, known, step_ns = offsets.read("system", np.array([passed_ns // 2]))
+    assert (known.tolist(), step_ns) == ([is_followed], 0 if is_followed else abs(moved_ns))
+    assert not is_followed or offset.tolist() == [moved_ns // 2]
+
+
+@pytest.mark.parametrize(
+    ("passed_ns", "longest_ns", "is_stalled"),
+    [(3 * S, 0, False), (3 * S + 1, 0, True), (4 * S, 4 * S, False), (4 * S, 3 * S, True)],
+)
+def test_what_has_not_come_for_three_seconds_and_longer_than_ever_is_stalled(passed_ns, longest_ns, is_stalled):
+    observed = SimpleNamespace(until_ns=BEGIN_NS + passed_ns)
+    assert _stalled_ns(BEGIN_NS, longest_ns, observed) == (passed_ns if is_stalled else 0)

@@ -224,3 +224,13 @@ def test_what_a_target_cannot_have_measured_is_refused(tmp_path):
 
     with pytest.raises(UsageError, match=r"process-all\.json"):
         read_tables(tmp_path, graph(RULES[1]))
+
+
+def test_without_a_late_reaction_the_highest_percent_is_explained():
+    topology = graph([(Waits.PERIOD, 10), (Waits.ANY, 0)])
+    rows = {"n0": [[10 * MS * n] * 4 + [0, NONE] for n in range(400)], "n1": []}
+    came = {"n0": [], "n1": [[n, 10 * MS * n, 10 * MS * n + MS + n, n] for n in range(400)]}
+    rows["n1"] = [[received] * 4 + [0, n] for n, _, received, _ in came["n1"]]
+    tables = replace(tables_of(topology, rows, came, 0), until_ns=5000 * MS)
+    cut = late_path(tables, *topology.all_paths(), None)
+    assert (cut.late, cut.reactions) == (4, 400)

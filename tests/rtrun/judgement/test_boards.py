@@ -52,6 +52,25 @@ def test_alike_boards_prove_together_what_none_proves_alone(tmp_path, capsys):
     assert [group["verdict"]["answer"] for group in groups] == ["PROVEN", "NEEDS MORE", "NEEDS MORE"]
 
 
+@pytest.mark.parametrize(
+    ("fact", "other"),
+    [
+        ("machine", "aarch64"),
+        ("cpus", 4),
+        ("kernel_release", "6.6.0-rt"),
+        ("kernel_version", "#2 SMP PREEMPT_RT"),
+        ("preempt_rt", False),
+        ("clocksource", "hpet"),
+        ("governor", "powersave"),
+        ("middleware_version", "2"),
+    ],
+)
+def test_boards_that_differ_in_what_matters_are_not_pooled(tmp_path, fact, other):
+    write(tmp_path, "a")
+    write(tmp_path, "b", **{fact: other})
+    assert study(tmp_path, QUESTION).pooled == ()
+
+
 def test_boards_that_differ_are_not_pooled_and_it_is_said_in_what(tmp_path, capsys):
     write(tmp_path, "a")
     write(tmp_path, "b", governor="powersave")
@@ -98,3 +117,11 @@ def test_programs_read_which_boards_a_group_is_of(tmp_path, capsys):
     assert main(["verdict", str(tmp_path), *WORDS, "--json"]) == 0
     groups = json.loads(capsys.readouterr().out)["groups"]
     assert [group["boards"] for group in groups] == [["a", "b"], ["a"], ["b"]]
+
+
+@pytest.mark.parametrize(("n", "columns", "width"), [(240, 240, 1), (9600, 240, 40), (9601, 235, 41)])
+def test_a_course_has_240_columns_at_most(tmp_path, n, columns, width):
+    write(tmp_path, "a", n=n)
+    (group,) = study(tmp_path, QUESTION).groups
+    course = group.digests[0].course
+    assert (course.low_ns.size, course.width) == (columns, width)
