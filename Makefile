@@ -10,7 +10,7 @@ PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --maxprocesses 8 --
 # Workers and the programs that they start find their modules compiled, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-topologies test-yocto lock lint docs coverage bench setup setup-demo board suites clean
+.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-topologies test-yocto lock lint docs coverage mutants bench setup setup-demo board suites clean
 
 demo: setup-demo
 	@$(MAKE) --no-print-directory -j2 board suites
@@ -110,6 +110,11 @@ coverage: setup
 	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/simulate.py
 	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/years.py
 	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/machines.py --hours $(or $(HOURS),8)
+
+# NUMBER mutants (300), drawn by SEED, of the rooms that decide: do tests notice a wrong constant or comparison? An hour.
+mutants: setup
+	$(BIN)/pip install --quiet 'coverage>=7'
+	$(BIN)/python tests/mutants.py --seed $(or $(SEED),1) --number $(or $(NUMBER),300)
 
 bench: setup
 	nice -n 5 $(BIN)/python tests/bench/bench_analysis.py --check
