@@ -22,7 +22,7 @@ def write(tmp_path):
             for seconds, (suite, parameters, more) in enumerate(
                 [("oneshot_timer_tests", lower, {}), ("communication_tests", upper, upper_record)]
             ):
-                values = latencies(500, 2 * k + seconds)
+                values = latencies(500, 10 * ord(name) + 2 * k + seconds)
                 timer = suite == "oneshot_timer_tests"
                 rows = oneshot_rows(values, 10_000) if timer else communication_rows(values, 100)
                 start = f"2026-01-01T00:00:{2 * k + seconds:02}+00:00"
