@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from rtfiles.errors import UsageError
 from rtrun import cli
-from rtrun.archive import notes, told
+from rtrun.archive import notes, notifications
 from rtrun.archive.alarms import Alarm
 from rtrun.archive.compacting import Compaction, compact
 from rtrun.archive.notes import AcceptNote, IgnoreNote, KnownNote, RetainNote, WithdrawNote, add_note, read_notes
@@ -345,7 +345,7 @@ def test_no_stamp_is_after_the_last_one():
 
 def test_more_notes_than_are_read_are_not_written(lab, tmp_path, capsys, monkeypatch):
     subprocess.run(["cp", "-rl", lab / "ARCHIVE", tmp_path / "a"], check=True)
-    for module, of in ((notes, notes._KIND), (told, told._KIND)):
+    for module, of in ((notes, notes._KIND), (notifications, notifications._KIND)):
         monkeypatch.setattr(module, "_KIND", type(of)(
             folder=of.folder, reader=of.reader, entries_max=2, bytes_max=of.bytes_max))  # fmt: skip
     retain = ["archive", "retain", str(tmp_path / "a"), "samples", "90d", *WHO]
