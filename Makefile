@@ -111,7 +111,7 @@ coverage: setup
 	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/years.py
 	PYTHONPATH=runner:tests nice -n 5 $(BIN)/python tests/coverage/machines.py --hours $(or $(HOURS),8)
 
-# NUMBER mutants (300), drawn by SEED, of the rooms that decide: do tests notice a wrong constant or comparison? An hour.
+# NUMBER mutants (300), drawn by SEED, of the rooms that decide: do tests notice a wrong constant or comparison?
 mutants: setup
 	$(BIN)/pip install --quiet 'coverage>=7'
 	$(BIN)/python tests/mutants.py --seed $(or $(SEED),1) --number $(or $(NUMBER),300)

@@ -223,11 +223,11 @@ def main() -> int:
         # Alone, what took too long beside others.
         ends = [examine(work) if end == "late" else end for work, end in zip(works, ends, strict=True)]
     dead = sum(end in ("dead", "late") for end in ends)
-    share = len(mutants) - len(real)
+    equal = len(mutants) - len(real)
     print(
-        f"{dead} of {len(real)} mutants die ({dead / max(1, len(real)):.0%}); {share} of {len(mutants)} are equivalent"
+        f"{dead} of {len(real)} mutants die ({dead / max(1, len(real)):.0%}); {equal} of {len(mutants)} are equivalent"
     )
-    return 0 if dead >= LEAST_DEAD * len(real) and share <= MOST_EQUIVALENT * len(mutants) else 1
+    return 0 if dead >= LEAST_DEAD * len(real) and equal <= MOST_EQUIVALENT * len(mutants) else 1
 
 
 if __name__ == "__main__":

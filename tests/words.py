@@ -1,6 +1,8 @@
 """Words that a native engineer would not write, found in pages and comments: words.tsv has the better ones.
 
-python tests/words.py [FILE...]      # all that git knows; exit status 1 where there is one
+    python tests/words.py [FILE...]      # without a name, all files that git knows
+
+Exit status 1 where there is one.
 """
 
 import ast

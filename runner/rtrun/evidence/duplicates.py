@@ -48,23 +48,24 @@ def copies_among(histograms: Sequence[tuple[str, Histogram]]) -> dict[str, str]:
     return copies
 
 
-def overlaps_among(trials: Sequence[Trials]) -> dict[str, str]:
+def overlaps_among(trials: Sequence[tuple[str, Trials]]) -> dict[str, str]:
     """Which of these runs, by name, hold a part of what another one holds: each with the name of that.
 
     A log that was appended to, cut off, shifted or edited is not the same file. But its highest values are as far apart
     as they were. In a start-up two measurements may be alike: the tenth that has most of them does not count. And where
     they come in a period, a run is also like itself some time later.
     """
-    numbers = {name: number for number, name in enumerate(dict.fromkeys(one.run for one in trials))}
-    names = list(numbers)
-    highest = [np.argsort(-one.high_ns, kind="stable")[:_COMPARED] for one in trials]
-    if not highest:
+    if not trials:
         return {}
-    heights_ns = np.concatenate([one.high_ns[chosen] for one, chosen in zip(trials, highest, strict=True)])
-    places = np.concatenate([one.high_at[chosen] for one, chosen in zip(trials, highest, strict=True)])
-    runs = np.repeat([numbers[one.run] for one in trials], [chosen.size for chosen in highest])
+    names = list(dict.fromkeys(run for run, _ in trials))
+    number_of = {name: number for number, name in enumerate(names)}
+    numbers = [number_of[run] for run, _ in trials]
+    highest = [np.argsort(-one.high_ns, kind="stable")[:_COMPARED] for _, one in trials]
+    heights_ns = np.concatenate([one.high_ns[chosen] for (_, one), chosen in zip(trials, highest, strict=True)])
+    places = np.concatenate([one.high_at[chosen] for (_, one), chosen in zip(trials, highest, strict=True)])
+    runs = np.repeat(numbers, [chosen.size for chosen in highest])
     loops = np.zeros(len(names), np.int64)
-    np.maximum.at(loops, [numbers[one.run] for one in trials], [one.n for one in trials])
+    np.maximum.at(loops, numbers, [one.n for _, one in trials])
 
     first, second = _each_two_alike(heights_ns)
     # Subscribers of one run have the same moments.

@@ -163,7 +163,7 @@ def _deploy_suites(link: Link, folder: Path) -> dict[str, str]:
 
 def _highest_priority(runs: Sequence[Run]) -> int:
     """Return the highest real-time priority that runs ask for; 0 when none does."""
-    priorities = [int(run.parameters["priority"] or 0) for run in runs if run.parameters.get("policy", "0") != "0"]
+    priorities = [int(run.parameters["priority"] or 0) for run in runs if suites.is_real_time(run.parameters)]
     priorities += [each.priority for run in runs if run.topology for each in run.topology.topology.executors]
     return max(priorities, default=0)
 

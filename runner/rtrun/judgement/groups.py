@@ -163,8 +163,3 @@ def _blocks_of_run(outputs: Sequence[Blocks], record: RunRecord | None) -> Block
     if record is None:
         return blocks
     return replace(blocks, boot=str(record.target.boot_id or ""), start_time=record.start_time)
-
-
-def is_rt(group: Group) -> bool:
-    """Whether the group's runs asked for a real-time policy."""
-    return group.parameters.get("policy", "0") != "0"

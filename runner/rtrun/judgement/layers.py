@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtrun.analysis.layers import Attribution, attribute
-from rtrun.judgement.groups import Group, is_rt
+from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.kinds.known import KINDS, kind_of
 from rtrun.plan.middleware.description import middlewares
-from rtrun.plan.suites import middleware_of, options, period_of, suite
+from rtrun.plan.suites import is_real_time, middleware_of, options, period_of, suite
 from rtrun.targets.inspection.platform import Platform
 
 # Parameters of a layer alone; all others must be the same in both.
@@ -107,7 +107,7 @@ def _differ_in_layer_alone(low: Group, high: Group) -> bool:
     alike = low.target == high.target and _others(low) == _others(high) and periods_ns[0] == periods_ns[1]
     means_known = all(one.figures.mean_ns is not None for group in (low, high) for one in group.digests)
     one_thread = low.parameters.get("threads", 1) == 1
-    return alike and means_known and one_thread and is_rt(high) and bool(low.blocks and high.blocks)
+    return alike and means_known and one_thread and is_real_time(high.parameters) and bool(low.blocks and high.blocks)
 
 
 def _awake_us(group: Group) -> object:

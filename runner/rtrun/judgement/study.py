@@ -171,7 +171,7 @@ def study(
 def _same_measurements(digests: Sequence[JudgedDigest]) -> dict[str, str]:
     """Runs alike that hold what another one holds, by name: each with a line that names both."""
     counts: dict[str, list[tuple[str, Histogram]]] = {}
-    places: dict[str, list[Trials]] = {}
+    places: dict[str, list[tuple[str, Trials]]] = {}
     for one in digests:
         if one.trials is None:
             continue
@@ -179,7 +179,7 @@ def _same_measurements(digests: Sequence[JudgedDigest]) -> dict[str, str]:
         if one.trials.misses is None:
             counts.setdefault(key, []).append((one.run, one.histogram))
         elif one.header.main:
-            places.setdefault(key, []).append(replace(one.trials, run=one.run))
+            places.setdefault(key, []).append((one.run, one.trials))
     same = {
         run: f"{run}: a copy? it and {other} hold the same counts, and neither counts"
         for members in counts.values()

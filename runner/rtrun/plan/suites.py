@@ -349,7 +349,7 @@ def _explicit(baseline: str, program: str, parameters: Mapping[str, Value]) -> l
         value = parameters.get(key, defaults[key])
         if value is None and key in described.unset:
             words.append(described.unset[key])
-        elif value not in (None, "") and not (key == "priority" and parameters.get("policy", "0") == "0"):
+        elif value not in (None, "") and not (key == "priority" and not is_real_time(parameters)):
             if options()[key].type == "choice":
                 value = described.values.get(str(value), value)
             words.append(f"{described.flags.get(key, options()[key].flag)}={value}")
@@ -364,7 +364,7 @@ def output_name(suite_name: str, parameters: Mapping[str, Value]) -> str:
     return str(values.get("prefix") or "") + suite(suite_name).output.format_map(
         values
         | {
-            "policy_suffix": "" if values.get("policy", "0") == "0" else f"-tnRT{values['policy']}",
+            "policy_suffix": f"-tnRT{values['policy']}" if is_real_time(values) else "",
             "busy_suffix": "-bm" if values.get("busy_mode") else "",
         }
     )
@@ -429,6 +429,11 @@ def _log_pattern(suite_name: str) -> re.Pattern[str]:
     if logs:
         pattern += f"-(?P<log>{'|'.join(map(re.escape, logs))})"
     return re.compile(rf"(?P<prefix>.*?){pattern}\.log", re.DOTALL)
+
+
+def is_real_time(parameters: Mapping[str, Value]) -> bool:
+    """Whether a run with these parameters asks for a real-time policy."""
+    return parameters.get("policy", "0") != "0"
 
 
 def period_of(parameters: Mapping[str, Value]) -> float | None:

@@ -12,10 +12,11 @@ from rtrun.analysis.comparison import Comparison, ComparisonAnswer, Shift, compa
 from rtrun.analysis.effects import Effect, examine_effect, holm
 from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.layers import figure_of
-from rtrun.judgement.groups import Group, format_parameters, is_rt
+from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study
 from rtrun.kinds.kind import MeasurementKind
 from rtrun.kinds.known import kind_of
+from rtrun.plan.suites import is_real_time
 
 # Fewer runs a side do not show how much runs differ by themselves.
 LEAST_RUNS = 5
@@ -50,7 +51,8 @@ def no_runs(what: str) -> ClaimResult:
 
 def select(groups: Iterable[Group], of: MeasurementKind | str, *, rt: bool | None = None) -> list[Group]:
     """The groups of a kind, or of a baseline, that measured something; `rt`: with a real-time policy, or without."""
-    return [group for group in groups if is_of(group.suite, of) and group.n and (rt is None or is_rt(group) is rt)]
+    measured = [group for group in groups if is_of(group.suite, of) and group.n]
+    return [group for group in measured if rt is None or is_real_time(group.parameters) is rt]
 
 
 def is_of(suite: str, of: MeasurementKind | str) -> bool:

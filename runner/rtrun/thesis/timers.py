@@ -7,10 +7,11 @@ from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import judge
 from rtrun.analysis.intervals import clopper_pearson
 from rtrun.judgement.digest import Digest
-from rtrun.judgement.groups import Group, format_parameters, is_rt
+from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study
 from rtrun.kinds import cyclic, oneshot
 from rtrun.plan.question import NONE_TOLERATED, Question
+from rtrun.plan.suites import is_real_time
 from rtrun.thesis.examination import (
     NEVER_BELOW,
     ClaimResult,
@@ -65,7 +66,8 @@ def oneshot_sub_millisecond(study: Study) -> ClaimResult:
 
 def oneshot_ignored_without_rt(study: Study) -> ClaimResult:
     """Timers that do not fire: some without real-time priority, none with it."""
-    with_rt, without = ([g for g in study.groups if is_of(g.suite, ONESHOT) and is_rt(g) is rt] for rt in (True, False))
+    groups = [g for g in study.groups if is_of(g.suite, ONESHOT)]
+    with_rt, without = ([g for g in groups if is_real_time(g.parameters) is rt] for rt in (True, False))
     if not with_rt and not without:
         return no_runs("one-shot run")
     lost_rt, lost = (sum(d.header.not_fired for g in side for d in g.digests) for side in (with_rt, without))
@@ -92,8 +94,7 @@ def oneshot_reported_accurate(study: Study) -> ClaimResult:
     differences = [
         d for d in study.others if is_of(d.header.suite, ONESHOT) and d.header.series == "difference_2014" and d.n
     ]
-    rt = [d for d in differences if d.header.parameters.get("policy", "0") != "0"]
-    without = [d for d in differences if d.header.parameters.get("policy", "0") == "0"]
+    rt, without = ([d for d in differences if is_real_time(d.header.parameters) is rt] for rt in (True, False))
     if not rt:
         return no_runs("one-shot run with real-time priority and reported values")
     mean = max(float(np.average(np.abs(d.histogram.values_ns), weights=d.histogram.counts)) for d in rt)

@@ -21,7 +21,7 @@ _OBSERVED = ("policy", "priority", "cpu")
 def requested(run: Run, background: Sequence[Background]) -> Requested:
     """What a run asks for, under the names that `Observed` uses; None where it asks for nothing."""
     has_policy = "policy" in run.parameters
-    real_time = run.parameters.get("policy", "0") != "0"
+    real_time = suites.is_real_time(run.parameters)
     return Requested(
         policy=(str(run.parameters["policy"]) if real_time else "OTHER") if has_policy else None,
         priority=(int(run.parameters["priority"] or 0) if real_time else 0) if has_policy else None,
