@@ -90,7 +90,7 @@ def examine(seed: int) -> Line:
         "hazards": machine.hazards,
         "edge": machine.is_edge,
         "p": machine.plan.probability,
-        "truths": machine.truths,
+        "truths": machine.truths_after(answer["runs"]),
         "visible": seen_in_files(machine, answer["failed"]),
         **answer,
         "s": round(time.monotonic() - began, 3),

@@ -61,6 +61,17 @@ def test_what_climbs_is_asked_about_after_what_is_measured(name, ahead):
         assert np.max(machine.plan.factors[0].at(slot.place, machine.rng, slot.loops)) <= 1
 
 
+def test_a_step_is_asked_about_as_it_was_when_somebody_asked():
+    machine = Machine(_seeds("step", count=1)[0])
+    step = machine.plan.factors[0]
+    runs = len(machine.slots)
+    before = sum((number + 0.5) / runs < step.at_share for number in range(runs))
+    assert 0 < before < runs
+    assert machine.truths_after(before) != machine.truths_after(before + 1) == machine.truths
+    as_it_was = machine.scale * step.before
+    assert machine.truths_after(before)[0] == pytest.approx(min(1, as_it_was), rel=0.05)
+
+
 def test_the_truth_is_where_it_is_aimed_at():
     for machine in map(Machine, range(100)):
         assert any(truth == pytest.approx(machine.aim * machine.plan.probability) for truth in machine.truths)

@@ -10,7 +10,7 @@ from rtrun.analysis.deadline import Answer, Unlike, Verdict
 from rtrun.analysis.trends import LEAST_UNITS, Climb
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
-from rtrun.plan.question import NONE_TOLERATED, STALL_NS
+from rtrun.plan.question import NONE_TOLERATED, STALL_NS, UNKNOWN_PERIOD_NS
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
@@ -197,7 +197,8 @@ def _covered(verdict: Verdict) -> str:
         case "longest seen":
             return f"the longest burst that was seen ({long}, the default)"
         case "period not known":
-            return f"no stall, for the period is not known ({long}, the default)"
+            unknown = f"the period is not known and counts as {time(UNKNOWN_PERIOD_NS)}"
+            return f"a stall of {time(STALL_NS)} ({long}, the default; {unknown})"
 
 
 def _of_whom(verdict: Verdict) -> list[str]:

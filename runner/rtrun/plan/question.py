@@ -19,6 +19,8 @@ BURSTS_MAX = 1000
 # A stall that a proof has to cover unless something else is asked: a time slice or a page of flash takes that long, and
 # a loop at 1 kHz that is judged by lateness then misses ten times in a row.
 STALL_NS = 10_000_000
+# A log that does not say its period may be of a control loop, which a stall makes miss ten times in a row.
+UNKNOWN_PERIOD_NS = 1_000_000
 # A rate that was missed by more than 1 % is no measurement (docs/analysis.md).
 _PERIOD_OFF = 0.01
 _TOLERANCE = re.compile(r"([0-9]{1,4}) (?:in a row|of ([0-9]{1,4}))", re.ASCII)
@@ -118,13 +120,12 @@ class Bursts:
 def bursts_asked(asked: Question, period_ns: float | None = None, longest_seen: int = 1) -> Bursts:
     """What was asked for, else a stall of `STALL_NS`, or the longest burst that was seen, in misses.
 
-    `period_ns` is that of one stream; where it is not known nobody knows how many misses a stall makes, and they come
-    singly. Where some are tolerated, what is counted are the windows with too many misses: a stall of L loops makes
+    `period_ns` is that of one stream; one that is not known counts as `UNKNOWN_PERIOD_NS`. Where some are tolerated, what is counted are the windows with too many misses: a stall of L loops makes
     L - N ends of more than N in a row, and L + M - 1 - 2 N windows of M loops that hold more than N.
     """
     if asked.bursts is not None:
         return Bursts(length=asked.bursts, why="asked")
-    in_a_stall = 1 if period_ns is None else _late_in_a_stall(asked.tolerance, period_ns)
+    in_a_stall = _late_in_a_stall(asked.tolerance, UNKNOWN_PERIOD_NS if period_ns is None else period_ns)
     if longest_seen > in_a_stall:
         return Bursts(length=longest_seen, why="longest seen")
     return Bursts(length=in_a_stall, why="period not known" if period_ns is None else "stall")

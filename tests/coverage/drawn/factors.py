@@ -56,6 +56,10 @@ class Factor:
         """What it is in the population."""
         return 1.0
 
+    def until(self, place: Place) -> float:
+        """What it still is after the run there, in parts of what it is in the population."""
+        return 1.0
+
     def is_visible(self, values: list[float], places: list[Place]) -> bool:
         """Whether who looks at the files can see it, from its values in them."""
         return False
@@ -230,12 +234,15 @@ class Climb(OfLoops):
 
 @dataclass(frozen=True)
 class Step(OfLoops):
-    """From one run on it is another machine; that one is asked about."""
+    """From one run on it is another machine; that one is asked about, by who asks then."""
 
     at_share: float
     before: float
 
     def at(self, place: Place, rng: Rng, length: int) -> Floats | float:
+        return self.until(place)
+
+    def until(self, place: Place) -> float:
         return self.before if (place.run + 0.5) / place.runs < self.at_share else 1.0
 
     def is_visible(self, values: list[float], places: list[Place]) -> bool:

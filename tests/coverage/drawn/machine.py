@@ -84,12 +84,18 @@ class Machine:
         if self.plan.ratio > 1:
             products.append(self.population(rng, by_time=True))
         aimed = products[int(rng.integers(len(products)))]
+        self._products = products
         target = self.aim * self.plan.probability
         low, high = 1e-12, 1e6
         for _ in range(100):
             middle = math.sqrt(low * high)
             low, high = (middle, high) if self.truth_of(middle, aimed) < target else (low, middle)
         return low, tuple(self.truth_of(low, product) for product in products)
+
+    def truths_after(self, runs: int) -> tuple[float, ...]:
+        """The truths for who asks after so many runs: nobody knows of what has not happened yet."""
+        so_far = math.prod(factor.until(self.slots[runs - 1].place) for factor in self.plan.factors)
+        return tuple(self.truth_of(self.scale, so_far * product) for product in self._products)
 
     def truth_of_board(self, board: int) -> float:
         """The truth of one of the boards."""

@@ -272,7 +272,7 @@ def test_time_that_load_hid_is_late_for_a_proof_and_in_time_for_a_refutation() -
 
 
 def test_boots_that_nobody_knows_are_one() -> None:
-    question = Question(deadline_ns=DEADLINE, probability=1e-3, boots=5)
+    question = Question(deadline_ns=DEADLINE, probability=1e-3, boots=5, bursts=1)
     unknown = [replace(run, boot="") for run in clean_runs(20)]
     judged = judge(Account(unknown), question)
     assert (judged.answer, judged.boots, judged.boots_missing) == (Answer.NEEDS_MORE, None, 4)
