@@ -20,7 +20,7 @@ NO_LIMITS = {
     "ranges of numbers, which take no room": {
         "rtfiles.untrusted.INT64_MAX",
         *(
-            f"rtrun.plan.limits.{name}"
+            f"rtrun.kinds.limits.{name}"
             for name in ("COUNT_MAX", "RT_PRIORITY_MAX", "MEASURING_PRIORITY_MAX", "EXIT_STATUS_MAX")
         ),
         "rtrun.plan.question.BURSTS_MAX",
@@ -43,7 +43,7 @@ NO_LIMITS = {
         "rtrun.report.causes.NAMES_MAX",
         "rtrun.report.causes.REMEDIES_MAX",
         "rtrun.validity.requirements.NAMED_MAX",
-        "rtrun.kinds.rate.OFF_MAX",
+        "rtrun.results.rate.OFF_MAX",
         "rtrun.flows.timers._PERIOD_OFF_MAX",
         "rtrun.flows.hazards._NAMED_MAX",
         "rtrun.execution.stream_runs._NAME_MAX",

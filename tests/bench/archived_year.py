@@ -19,9 +19,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "rtrun"))
 from archive.archived import write_course
 
-from rtrun.analysis.histogram import Histogram, Int64s, from_samples
+from rtrun.analysis.histogram import Histogram, from_samples
 from rtrun.archive.store import make_archive, write_file
 from rtrun.archive.tables import Origin, as_parquet, file_of, histogram_table, run_table
+from rtrun.kinds.values import Int64s
 from rtrun.results.record import RunRecord, RunStatus, TargetFacts
 from rtrun.results.series import Header, HistogramSeries
 from rtrun.targets.inspection.platform import Platform

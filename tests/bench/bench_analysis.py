@@ -28,7 +28,8 @@ from campaigns import communication_rows, latencies, oneshot_run, write_campaign
 
 from measured import Measured, measured
 from rtrun.analysis.figures import PERCENTILES, figures_of_samples
-from rtrun.analysis.histogram import Int64s, from_samples
+from rtrun.analysis.histogram import from_samples
+from rtrun.kinds.values import Int64s
 
 Check = tuple[str, float, float, str]
 # Our time is about the same for all kinds, that of pandas is less where values are wide.

@@ -11,6 +11,7 @@ from made_flows import S, publish, publish_bytes, take, take_bytes
 
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures
+from rtrun.kinds.messages import STREAM as MESSAGES
 from rtrun.probes.hits import Hit
 
 MESSAGES_PER_S, TOPICS, SECONDS = 20_000, 10, 14
@@ -44,7 +45,7 @@ def test_twenty_thousand_messages_a_second(message: Callable[[int, str, int], li
         rows = live.snapshot((second + 1) * S).rows
         hit_us.append((fed - began) / len(hits) * 1e6)
         snapshot_ms.append((time.process_time() - fed) * 1e3)
-    received = sum(row.n for row in rows if row.kind == "messages")
+    received = sum(row.n for row in rows if row.kind is MESSAGES)
     assert received == SECONDS * MESSAGES_PER_S, [(row.kind, row.name, row.n) for row in rows]
     # In the last seconds publications are forgotten, too.
     least_us = min(hit_us[-3:])

@@ -37,7 +37,6 @@ from rtrun.flows.streams import streams
 from rtrun.flows.topology.late import late_path
 from rtrun.flows.topology.streams import topology_streams
 from rtrun.flows.topology.tables import read_tables
-from rtrun.kinds.output import HostRecord, Thread, Uname
 from rtrun.plan.campaign import Campaign, plan, read_campaign
 from rtrun.plan.goal import Goal
 from rtrun.plan.topology.planning import TopologyPlan
@@ -55,6 +54,7 @@ from rtrun.results.importers.histogram_file import ENDING, histogram_text, read_
 from rtrun.results.importers.samples_file import ENDING as SAMPLES_ENDING
 from rtrun.results.importers.samples_file import ImportedSamples, read_imported_samples, write_samples
 from rtrun.results.observed import ObservedOutput, Provenance, TracedValue, write_stream
+from rtrun.results.output import HostRecord, Thread, Uname
 from rtrun.results.record import (
     Clock,
     Observed,

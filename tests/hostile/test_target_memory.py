@@ -140,7 +140,7 @@ from rtrun.commands import observe, run
 from rtrun.commands.check_rt import _as_json
 from rtrun.execution import resumption, ros_graph
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.kinds.output import Record
+from rtrun.results.output import Record
 from rtrun.probes import placement
 from rtrun.probes.hits import Hit
 from rtrun.probes.libraries.description import events, libraries

@@ -14,7 +14,7 @@ from rtrun.plan.suites import suites
 
 # docs/house.md names them in this order.
 ROOMS = (
-    "plan", "targets", "analysis", "probes", "kinds", "results", "evidence", "validity", "causes", "flows", "execution",
+    "kinds", "plan", "targets", "analysis", "probes", "results", "evidence", "validity", "causes", "flows", "execution",
     "judgement", "report", "thesis", "archive", "on_target", "commands", "cli",
 )  # fmt: skip
 

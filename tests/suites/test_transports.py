@@ -17,8 +17,8 @@ import pytest
 
 from ports import free_domain, give_back_domain
 from rtgen import suites as builder
-from rtrun.kinds.output import Record, SenderRecord
 from rtrun.plan.suites import options
+from rtrun.results.output import Record, SenderRecord
 
 from .conftest import Bench, Ended, check_outputs, end, is_measuring, wait_until
 

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtrun.analysis.distributions import chi_squared_above
-from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.tails import GPD, Float64s, Parameters
+from rtrun.kinds.values import Int64s
 
 _SEED = 20140715
 _POINTS = 128

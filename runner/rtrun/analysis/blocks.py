@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.histogram import Histogram, Int64s, from_samples
+from rtrun.analysis.histogram import Histogram, from_samples
+from rtrun.kinds.values import Int64s
 
 BLOCKS = 64
 _COLUMNS = 4096

@@ -12,9 +12,9 @@ from rtrun.analysis.blocks import Blocks, align
 from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.distributions import normal_quantile, student_quantile
 from rtrun.analysis.effects import holm
-from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.interleaving import is_interleaved
 from rtrun.analysis.intervals import clopper_pearson
+from rtrun.kinds.values import Int64s
 
 ROUNDS = 999
 SEED = 20140715

@@ -10,7 +10,6 @@ import numpy as np
 
 from rtfiles.quantities import grouped
 from rtrun.analysis.dependence import design_effect, effect_of_few, pool
-from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.intervals import chance_of_so_many
 from rtrun.analysis.stationarity import (
     SIGNIFICANT,
@@ -31,6 +30,7 @@ from rtrun.analysis.trends import (
     runs_of,
 )
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials, high_values
+from rtrun.kinds.values import Int64s
 
 # A level that was left and entered again so often is part of the process.
 RETURNS = 5

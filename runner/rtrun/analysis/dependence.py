@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.values import Int64s
 
 _LEAST_BLOCKS = 16
 _CHANCE = 2.58  # standard errors: once in two hundred times

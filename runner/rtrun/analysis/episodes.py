@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtrun.analysis.dependence import Events, locate
-from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.values import Int64s
 from rtrun.plan.question import STALL_NS
 
 _NS_PER_HOUR = 3.6e12

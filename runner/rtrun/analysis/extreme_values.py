@@ -10,8 +10,8 @@ from rtfiles.quantities import time
 from rtrun.analysis import tails
 from rtrun.analysis.dependence import burst_starts, extremal_index
 from rtrun.analysis.distributions import chi_squared_above
-from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.ranks import rank_correlation
+from rtrun.kinds.values import Int64s
 
 _KEPT = 20_000
 _BLOCKS = 1024

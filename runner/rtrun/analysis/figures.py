@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.histogram import LIMIT_NS, PIECE, Histogram, Int64s, check_range, pieces
+from rtrun.analysis.histogram import LIMIT_NS, Histogram, check_range
+from rtrun.kinds.values import PIECE, Int64s, pieces
 
 PERCENTILES = (50.0, 90.0, 95.0, 99.0, 99.9, 99.99, 99.999)
 PERCENTILE_METHOD = "inverted_cdf"

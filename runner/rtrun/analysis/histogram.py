@@ -1,15 +1,14 @@
 """Counts of values: all that is left of a measurement when only its log remains."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Int64s = NDArray[np.int64]
+from rtrun.kinds.values import Int64s, pieces
+
 # The difference of two values from -LIMIT_NS to LIMIT_NS - 1 fits into an int64; it is 146 years.
 LIMIT_NS = 1 << 62
-PIECE = 1 << 16  # values that stay in the cache
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,12 +78,6 @@ def check_range(low: int, high: int) -> None:
     """Raise ValueError if the lowest or the highest value is beyond 146 years."""
     if low < -LIMIT_NS or high >= LIMIT_NS:
         raise ValueError(f"a value of {low if low < -LIMIT_NS else high} ns is no measured time")
-
-
-def pieces(n: int, least: int = PIECE) -> Iterator[slice]:
-    """Cut n values into pieces of PIECE, or of `least` where that is more."""
-    length = max(PIECE, least)
-    return (slice(start, start + length) for start in range(0, n, length))
 
 
 def merge(parts: Iterable[Histogram]) -> Histogram:

@@ -23,7 +23,7 @@ from rtrun.analysis.extreme_values import (
     stays_the_same,
     too_far,
 )
-from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.values import Int64s
 
 # More peaks would make the interval shorter, but wrong where the tail is only nearly a GPD. With 4000 of 200 000 normal
 # values the truth lay above the interval in half of the simulated cases, though the tests of fit passed.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.distributions import chi_squared_above, smirnov_above
-from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.values import Int64s
 
 
 def burst_peaks(positions: Sequence[int], loops: int) -> Int64s:

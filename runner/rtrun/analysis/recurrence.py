@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.distributions import binomial_above
-from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.values import Int64s
 
 ALPHA = 0.002
 LEAST_LOOPS = 20  # that a period has

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.distributions import Floats, binomial_above
-from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.trials import Trials, count_misses, loop_positions
+from rtrun.kinds.values import Int64s
 
 # Below this chance the first loops are a start-up, after Bonferroni for all lengths, patterns and kinds of events.
 SIGNIFICANT = 0.001

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtrun.analysis.distributions import Floats, binomial_above, chi_squared_above
-from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.order import find_order
+from rtrun.kinds.values import Int64s
 
 # Below this chance something counts as a change within runs. Few misses tell little, so for them it may be higher.
 SIGNIFICANT = 0.01

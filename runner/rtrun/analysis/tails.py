@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtrun.analysis.distributions import chi_squared_above, chi_squared_exceeded
-from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.search import crossing, lowest_point
+from rtrun.kinds.values import Int64s
 
 Float64s = NDArray[np.float64]
 Parameters = tuple[float, ...]

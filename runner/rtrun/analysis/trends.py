@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 
 from rtrun.analysis.distributions import Floats, student_quantile
-from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.order import find_common_order, find_order, signs_looked_at
 from rtrun.analysis.stationarity import (
     PIECES,
@@ -22,6 +21,7 @@ from rtrun.analysis.stationarity import (
     count_until,
 )
 from rtrun.analysis.trials import Trials
+from rtrun.kinds.values import Int64s
 
 # Of units there are fewer still. Five boots, each worse than the last, have the chance 2/120.
 _SIGNIFICANT_OF_LEVELS = 0.02

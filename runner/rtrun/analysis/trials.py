@@ -8,7 +8,8 @@ import numpy as np
 
 from rtrun.analysis.dependence import Events, locate
 from rtrun.analysis.episodes import FoundEpisodes, find_episodes
-from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.analysis.histogram import Histogram
+from rtrun.kinds.values import Int64s
 from rtrun.plan.question import NONE_TOLERATED, Tolerance
 
 # With this many misses normal theory on blocks holds for their bursts; fewer are tested exactly.

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from rtrun.analysis.figures import PERCENTILES
-from rtrun.analysis.histogram import Int64s
 from rtrun.archive.files import RowRange, TableFile, coded, numbers_of, opened
 from rtrun.archive.store import Store
-from rtrun.plan.limits import TIME_MAX_NS
+from rtrun.kinds.limits import TIME_MAX_NS
+from rtrun.kinds.values import Int64s
 
 Bins = tuple[Int64s, Int64s, Int64s]
 """value_ns, bin_ns and count of the rows of a histogram, shape (n,); NONE where the table has null."""

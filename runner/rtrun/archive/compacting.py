@@ -20,7 +20,7 @@ from rtrun.archive.runs import PACKED_MAX, PARTITIONED, RunRow, in_path, is_kept
 from rtrun.archive.stamps import as_stamp, next_stamp, read_stamp
 from rtrun.archive.store import Store, remove_files, write_file
 from rtrun.archive.tables import SCHEMAS, Table, as_parquet, file_of
-from rtrun.plan.limits import BINS_MAX
+from rtrun.kinds.limits import BINS_MAX
 
 GRACE = timedelta(days=1)
 # Rows of a pack. One with fewer than half of them is packed again with what came since.

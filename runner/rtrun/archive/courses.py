@@ -15,7 +15,7 @@ from rtrun.analysis.change_points import Floats, means_of_units
 from rtrun.archive.notes import AcceptNote, KnownNote
 from rtrun.archive.queries import Point, figures
 from rtrun.archive.runs import Archive, RunRow
-from rtrun.plan.question import Measure
+from rtrun.kinds.kind import Measure
 
 Figure = Literal["p50", "p99", "p99.9", "P(miss)"]
 """What is held against history: figures that a single late value does not make."""

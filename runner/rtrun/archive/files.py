@@ -17,7 +17,7 @@ import numpy as np
 
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.archive.store import Store, find_files
-from rtrun.plan.limits import BINS_MAX
+from rtrun.kinds.limits import BINS_MAX
 
 if TYPE_CHECKING:
     import pyarrow

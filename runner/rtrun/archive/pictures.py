@@ -9,7 +9,7 @@ from rtfiles.quantities import time
 from rtrun.analysis.scale import Division, Floats, Scale
 from rtrun.archive.courses import Course
 from rtrun.archive.trends import Trend
-from rtrun.kinds.known import in_words
+from rtrun.plan.suites import in_words
 from rtrun.report.plots import axes
 from rtrun.report.plots.axes import Axis
 from rtrun.report.plots.drawing import Mark, Plot

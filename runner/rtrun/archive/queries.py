@@ -16,9 +16,9 @@ from rtrun.archive import By
 from rtrun.archive.bins import BinReader, Bins, figures_of_bins, merged
 from rtrun.archive.runs import Archive, RunRow
 from rtrun.archive.store import Store
+from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import called
-from rtrun.plan.limits import BINS_MAX
-from rtrun.plan.question import Measure
+from rtrun.kinds.limits import BINS_MAX
 from rtrun.plan.suites import judged, measures
 
 # Rows of histograms that are held at one time, which takes up to 150 bytes each. A run has some ten thousand.

@@ -21,7 +21,7 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import from_samples
 from rtrun.archive.files import ROW_GROUP
 from rtrun.judgement.groups import format_parameters
-from rtrun.plan.limits import BINS_MAX
+from rtrun.kinds.limits import BINS_MAX
 from rtrun.plan.observation import stream_words
 from rtrun.plan.suites import telling_parameters
 from rtrun.results.record import FILE, RunRecord, moment

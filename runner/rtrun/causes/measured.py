@@ -4,10 +4,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.known import kind_of
-from rtrun.plan.question import Measure
-from rtrun.plan.suites import Value, judged, measures
+from rtrun.kinds.kind import Measure
+from rtrun.kinds.values import Int64s
+from rtrun.plan.suites import Value, judged, kind_of, measures
 from rtrun.plan.trace import SERIES
 from rtrun.results.record import RunRecord, check_file
 from rtrun.results.samples import read_samples

@@ -22,10 +22,8 @@ from rtrun.causes.parts import Part
 from rtrun.causes.reconstruction import reconstruct
 from rtrun.causes.steps import Step, steps
 from rtrun.causes.timeline import IDLE_PID, Span, State, Timeline
-from rtrun.kinds.known import kind_of
-from rtrun.kinds.output import NON_MEASURING_THREADS, Record
-from rtrun.plan.observation import StreamKind
-from rtrun.plan.suites import suite
+from rtrun.plan.suites import kind_of, suite
+from rtrun.results.output import NON_MEASURING_THREADS, Record
 from rtrun.results.record import RunRecord, check_file
 
 # What is read after an outlier: the thread that measured it must be seen to go on.
@@ -190,7 +188,8 @@ def _explain(
 
 def _earlier_callbacks(outlier: Outlier, order: Timeline, pid: int, record: RunRecord) -> tuple[Callback, ...]:
     """What the measured thread was about within an outlier, but for the callback that was measured itself."""
-    if record.suite == StreamKind.CALLBACK.suite:
+    kind = kind_of(record.suite)
+    if kind and kind.is_of_callbacks:
         return ()
     # The outlier's time has microseconds.
     until_ns = outlier.at_ns + 1000

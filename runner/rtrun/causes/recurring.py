@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrun.analysis.histogram import Int64s
 from rtrun.analysis.recurrence import Recurrence, counts_tried, find_recurrence
 from rtrun.causes.measured import read_measured
-from rtrun.plan.question import Measure
+from rtrun.kinds.kind import Measure
+from rtrun.kinds.values import Int64s
 from rtrun.results.record import RunRecord
 
 # In a shorter run the highest values are not rare.

@@ -11,9 +11,9 @@ from pydantic import Field
 
 from rtfiles.config import Config, read_json
 from rtrun.analysis.coincidence import LEAST_INTERVALS, Floats, find_coincidences
-from rtrun.analysis.histogram import Int64s
 from rtrun.causes.measured import Measured, read_measured
-from rtrun.plan.question import Measure
+from rtrun.kinds.kind import Measure
+from rtrun.kinds.values import Int64s
 from rtrun.results.record import RunRecord, check_file
 from rtrun.targets.inspection.facts import TargetState
 from rtrun.validity.observations import COUNTS_MAX, SAMPLER_OUTPUT, Observation, observations_of

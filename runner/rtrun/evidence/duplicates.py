@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.analysis.histogram import Histogram
 from rtrun.analysis.trials import Trials
+from rtrun.kinds.values import Int64s
 
 # A run among ten thousand others has the same counts by chance less often than once in a thousand archives.
 BY_CHANCE = 1e-12

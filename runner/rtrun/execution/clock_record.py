@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
-from rtrun.kinds.output import Record
+from rtrun.results.output import Record
 from rtrun.results.record import Clock
 from rtrun.targets.inspection.facts import TargetState
 

@@ -17,11 +17,11 @@ from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt
 from rtrun.execution.run_programs import RunPrograms
 from rtrun.flows.topology.tables import TopologyTables
-from rtrun.kinds.output import Record, SenderRecord
 from rtrun.plan import suites
 from rtrun.plan.program import Exit
 from rtrun.plan.run import Run
 from rtrun.results import run_directory
+from rtrun.results.output import Record, SenderRecord
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
 from rtrun.targets import building
 from rtrun.targets.errors import TargetError

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.output import printable
-from rtrun.analysis.histogram import Int64s
 from rtrun.causes.control import control_ns
 from rtrun.causes.outliers import AFTER_NS, BEFORE_NS
 from rtrun.flows.live import NewValues
 from rtrun.flows.turns import Turn
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.values import Int64s
 from rtrun.plan.trace import quantile
 from rtrun.probes.hits import GAPS_MAX, Gap, Hit, joined
 from rtrun.probes.kernel_events import KernelEvents
@@ -34,8 +33,6 @@ TURN_CHARACTERS_MAX = 6_000_000
 HITS_MAX = 1_000_000
 # Text of traces that is made at one time, some seconds' work: other late values wait for the next one.
 TEXT_BYTES_AT_ONCE_MAX = 32 * 1024 * 1024
-# Between two messages a time passes that is as long as it should be.
-TRACED = frozenset({StreamKind.MESSAGES, StreamKind.TIMER, StreamKind.CALLBACK, StreamKind.PATH})
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
@@ -146,7 +143,7 @@ class LateValueRecord:
 
     def look(self, new: NewValues) -> None:
         """Note which new values of a stream are late."""
-        if new.kind not in TRACED:
+        if not new.kind.is_traced:
             return
         late = self.streams.setdefault(new.source, LateValues())
         limit_ns = late.limit_ns = self._limit_ns(new)

@@ -12,12 +12,12 @@ from rtrun.execution.observation import ObservationResult
 from rtrun.execution.stream_runs import StreamFacts, write_streams
 from rtrun.flows.hazards import hazards
 from rtrun.flows.streams import streams
-from rtrun.kinds.output import Thread
 from rtrun.plan.run import UNTRACED, Run
 from rtrun.plan.suites import Value
 from rtrun.probes.hits import ObservedProgram
 from rtrun.results import run_directory
 from rtrun.results.observed import Graph, PlacedEvent, RefusedEvent, write_graph
+from rtrun.results.output import Thread
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, UnrelatedEnd
 from rtrun.targets.inspection.facts import TargetState
 

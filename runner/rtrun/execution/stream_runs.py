@@ -13,21 +13,19 @@ import numpy as np
 from rtfiles.errors import InfrastructureError
 from rtfiles.output import listed
 from rtfiles.quantities import time
-from rtrun.analysis.histogram import Int64s
 from rtrun.execution import clock_record
 from rtrun.execution.late_values import LateValue, LateValues
 from rtrun.execution.observation import defect_in_words
 from rtrun.flows.values import Stream, typical_step
-from rtrun.kinds.messages import NOT_SEEN_NS
-from rtrun.kinds.output import Uname
-from rtrun.kinds.timer import UNKNOWN_NS
-from rtrun.plan.observation import StreamDeadline, StreamKind
+from rtrun.kinds.values import Int64s
+from rtrun.plan.observation import StreamDeadline
 from rtrun.plan.run import UNTRACED
 from rtrun.plan.suites import Value
 from rtrun.plan.trace import PARAMETER
 from rtrun.results import run_directory
 from rtrun.results.columns import pieces
 from rtrun.results.observed import ObservedOutput, Provenance, TracedValue, write_stream
+from rtrun.results.output import Uname
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
 from rtrun.targets.inspection.facts import TargetState, fact_text
 
@@ -111,7 +109,7 @@ def write_streams(
         if deadline_ns is not None and stream.open_ns > deadline_ns:
             # It is a miss whenever it comes.
             output = replace(output, asked=output.asked + 1, missing=output.missing + 1)
-            left_out.append(f"{_in_words(stream)}: {_OPEN[stream.kind].format(time(stream.open_ns))}")
+            left_out.append(f"{_in_words(stream)}: {stream.kind.overdue.format(time(stream.open_ns))}")
         # Its values are in its run now, and all together may be more than the memory holds.
         outputs.append(replace(output, columns={}, traced=()))
         with _noting(noted, _in_words(stream)):
@@ -192,17 +190,15 @@ def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> Ob
     rows = first.size
     lost = stream.counts.get("lost", 0)
     measured = rows
-    if stream.kind in (StreamKind.TIMER, StreamKind.INTERVALS):
-        columns.setdefault("segment", np.broadcast_to(np.int64(0), rows))
+    if stream.kind.is_between_rows:
         measured = max(rows - 1, 0) - stream.cuts.size
-    if stream.kind is StreamKind.TIMER and measured:
-        parameters["period_ns"] = stream.period_ns or typical_step(first, stream.cuts) or 0
-        columns.setdefault("expected_ns", np.broadcast_to(np.int64(UNKNOWN_NS), rows))
-        columns.setdefault("real_ns", first)
-    if stream.kind is StreamKind.MESSAGES:
-        columns.setdefault("callback_end_ns", np.broadcast_to(np.int64(NOT_SEEN_NS), rows))
     if not measured:
         return None
+    if stream.kind.has_period:
+        parameters["period_ns"] = stream.period_ns or typical_step(first, stream.cuts) or 0
+    for name, value in stream.kind.filled.items():
+        filled = columns[value] if isinstance(value, str) else np.broadcast_to(np.int64(value), rows)
+        columns.setdefault(name, filled)
     passed_ns = int(first[-1] - first[0])
     return ObservedOutput(
         suite=stream.kind.suite,
@@ -221,31 +217,15 @@ def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> Ob
     )
 
 
-# What has not come at the end.
-_OPEN = {
-    StreamKind.MESSAGES: "nothing of what was published in the last {} was taken, though both programs live",
-    StreamKind.TIMER: "a call was due {} ago and did not come, though its program lives: it hangs, or was cancelled",
-    StreamKind.CALLBACK: "a call began {} ago and has not ended",
-    StreamKind.INTERVALS: "no message in the last {}, though its program lives",
-}
-# The column that says when a value was there.
-_TIMES = {
-    StreamKind.MESSAGES: "reception_ns",
-    StreamKind.TIMER: "timestamp_ns",
-    StreamKind.CALLBACK: "end_ns",
-    StreamKind.PATH: "end_ns",
-}
-
-
 def _traced(stream: Stream, kept: Sequence[LateValue]) -> Iterator[TracedValue]:
     """The late values that have a trace, by the indices that they have in the samples."""
     for one in kept:
         if not one.text:
             continue
-        row = _row_at(stream.columns[_TIMES[stream.kind]], one.at_ns)
+        row = _row_at(stream.columns[stream.kind.at], one.at_ns)
         if row is not None:
             yield TracedValue(
-                index=int(stream.columns["seq"][row]) if stream.kind is StreamKind.MESSAGES else row,
+                index=int(stream.columns[stream.kind.index][row]) if stream.kind.index else row,
                 value_ns=one.value_ns,
                 limit_ns=one.limit_ns,
                 at_ns=one.at_ns,

@@ -8,7 +8,6 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s
 from rtrun.execution.download import JSON_LIMIT_BYTES, NPY_HEADER_BYTES
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.stream_runs import StreamFacts, write_streams
@@ -24,7 +23,7 @@ from rtrun.flows.topology.tables import (
     read_tables,
     table_names,
 )
-from rtrun.kinds.output import HostRecord, Thread
+from rtrun.kinds.values import Int64s
 from rtrun.plan import suites
 from rtrun.plan.program import Program
 from rtrun.plan.run import Run
@@ -33,6 +32,7 @@ from rtrun.plan.topology.node_text import process_text
 from rtrun.plan.topology.planning import TopologyPlan
 from rtrun.plan.topology.rates import most_activations
 from rtrun.plan.topology.topology import NodePath, Topology
+from rtrun.results.output import HostRecord, Thread
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
 from rtrun.results.topology_record import (
     CycleStep,

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtrun.analysis.histogram import Int64s
 from rtrun.flows.messages import CALLBACK_END, INDEX, PUBLISHED, RECEIVED, MessagePair
 from rtrun.flows.rows import Rows, RowStore
 from rtrun.kinds.messages import NOT_SEEN_NS
+from rtrun.kinds.values import Int64s
 from rtrun.results.columns import PIECE_ROWS, collected
 
 _ONES = np.unpackbits(np.arange(256, dtype=np.uint8)[:, np.newaxis], axis=1).sum(axis=1, dtype=np.uint8)

@@ -6,18 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtfiles.output import counted, printable
-from rtrun.analysis.histogram import Int64s
-from rtrun.flows import streams
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.flows.messages import PUBLISHED, RECEIVED, MessagePair
-from rtrun.flows.timers import ClockOffsets, TimerLog
-from rtrun.kinds.messages import NOT_SEEN_NS
-from rtrun.plan.observation import StreamDeadline, StreamKind
-from rtrun.probes.hits import HITS_CLOCK, Gap, covered_ns
+from rtrun.flows.observed.source import StreamSource
+from rtrun.flows.streams import OBSERVED
+from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.known import STREAMS
+from rtrun.kinds.values import Int64s
+from rtrun.plan.observation import StreamDeadline
+from rtrun.probes.hits import Gap, covered_ns
 
 _BINS_OF_OCTAVE = 64
-# Calls of a timer whose lateness is not known before its clock is read.
-_WAITING_MAX = 200_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -94,24 +92,6 @@ class _Shown:
 
 
 @dataclass(frozen=True, slots=True)
-class _Current:
-    """A stream as it is now: its name, how many rows it has, its values from a row on, and when each was there.
-
-    Of the rows, `settled` many have values that will not change.
-    """
-
-    key: object
-    kind: StreamKind
-    name: str
-    of: str
-    rows: int
-    values_ns: Int64s
-    times_ns: Int64s
-    settled: int
-    lost: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class NewValues:
     """What a stream received since the last snapshot: values and when each was there, int64 (n,); figures without them.
 
@@ -147,7 +127,9 @@ class LiveFigures:
         """The figures at a time, which is not before that of the last snapshot."""
         passed_s = (at_ns - self._at_ns) / 1e9
         self._at_ns = at_ns
-        rows = tuple(self._row(current, passed_s) for current in self._current())
+        rows = tuple(
+            self._row(kind.STREAM, source, passed_s) for kind in OBSERVED for source in kind.sources(self._observed)
+        )
         return Snapshot(
             at_ns=at_ns,
             observed_s=(at_ns - self._observed.begin_ns) / 1e9,
@@ -155,92 +137,29 @@ class LiveFigures:
             remarks=tuple(self._remarks()),
         )
 
-    def _row(self, current: _Current, passed_s: float) -> LiveRow:
-        shown = self._shown[current.key]
-        limit_ns = self._limits.get((current.kind, current.name))
-        if self._on_values is not None and current.values_ns.size:
-            self._on_values(NewValues(current.key, current.kind, current.values_ns, current.times_ns, shown.figures))
-        shown.figures.add(current.values_ns, limit_ns)
-        shown.rows = current.settled
-        new, shown.before = current.rows - shown.before, current.rows
+    def _row(self, kind: StreamKind, source: StreamSource, passed_s: float) -> LiveRow:
+        shown = self._shown.setdefault(source.record, _Shown(BinnedValues()))
+        limit_ns = self._limits.get((kind, source.name))
+        new = source.since(shown.rows)
+        if self._on_values is not None and new.values_ns.size:
+            self._on_values(NewValues(source.record, kind, new.values_ns, new.times_ns, shown.figures))
         figures = shown.figures
+        figures.add(new.values_ns, limit_ns)
+        shown.rows = new.settled
+        more, shown.before = new.rows - shown.before, new.rows
         return LiveRow(
-            kind=current.kind,
-            name=printable(current.name),
-            of=printable(current.of),
-            n=current.rows,
-            rate_hz=new / passed_s if passed_s > 0 else 0.0,
+            kind=kind,
+            name=printable(source.name),
+            of=printable(source.of),
+            n=new.rows,
+            rate_hz=more / passed_s if passed_s > 0 else 0.0,
             median_ns=figures.quantile_ns(0.5),
             p99_ns=figures.quantile_ns(0.99),
             worst_ns=figures.worst_ns,
-            lost=current.lost,
+            lost=new.lost,
             deadline_ns=limit_ns,
             misses=None if limit_ns is None else figures.misses,
         )
-
-    def _from(self, key: object) -> int:
-        return self._shown.setdefault(key, _Shown(BinnedValues())).rows
-
-    def _current(self) -> Iterator[_Current]:
-        observed = self._observed
-        for pair in observed.topics.pairs.values():
-            yield self._messages(pair)
-        for timer in observed.calls.timers.values():
-            yield self._timer(timer, observed.offsets)
-        for (number, publisher), path in observed.paths.logs.items():
-            begins, times = path.rows.read(self._from(path)).T
-            values = times - begins
-            name = ",".join(observed.paths.paths[number])
-            rows = len(path.rows)
-            yield _Current(path, StreamKind.PATH, name, publisher.label, rows, values, times, rows)
-        for callback in observed.calls.callbacks.values():
-            identity = streams.callback_identity(callback)
-            begins, times = callback.rows.read(self._from(callback)).T
-            values = times - begins
-            rows = len(callback.rows)
-            of = f"{callback.label}, thread {callback.thread}"
-            yield _Current(callback, StreamKind.CALLBACK, str(identity["callback"]), of, rows, values, times, rows)
-        for (role, topic, label), end in observed.topics.ends.items():
-            begin = self._from(end)
-            times = end.times.read(max(begin - 1, 0))[:, 0]
-            steps = np.diff(times)
-            cuts = end.cuts.between(begin, len(end.times))
-            # A step to row r, which is the first one behind a cut, is none.
-            rows_of = np.arange(max(begin, 1), len(end.times))
-            is_step = ~np.isin(rows_of, cuts[cuts > 0])
-            rows = len(end.times)
-            of = f"{role} {label}"
-            yield _Current(end, StreamKind.INTERVALS, topic, of, rows, steps[is_step], times[1:][is_step], rows)
-
-    def _messages(self, pair: MessagePair) -> _Current:
-        begin = self._from(pair)
-        new = pair.rows.read(begin)
-        times = new[:, RECEIVED]
-        values = times - new[:, PUBLISHED]
-        of = f"{pair.publisher.label} to {pair.subscriber.label}"
-        rows = len(pair.rows)
-        return _Current(
-            pair, StreamKind.MESSAGES, pair.publisher.topic, of, rows, values, times, rows, pair.lost_so_far
-        )
-
-    def _timer(self, log: TimerLog, offsets: ClockOffsets) -> _Current:
-        rows = len(log.rows)
-        begin = max(self._from(log), rows - _WAITING_MAX)
-        at, expected = log.rows.read(begin).T
-        values = times = np.empty(0, np.int64)
-        settled = rows
-        if log.clock is not None and log.period_ns is not None:
-            known = expected != NOT_SEEN_NS
-            if log.clock != HITS_CLOCK:
-                # How the clock stood is known up to the time at which it was last read.
-                last_ns = offsets.last_ns(log.clock)
-                size = 0 if last_ns is None else int(np.searchsorted(at, last_ns, side="right"))
-                at, expected, known, settled = at[:size], expected[:size], known[:size], begin + size
-            offset, is_known, _ = offsets.read(log.clock, at)
-            known = known & is_known
-            values, times = (at + offset - expected)[known], at[known]
-        identity = streams.timer_identity(log)
-        return _Current(log, StreamKind.TIMER, log.label, str(identity["timer"]), rows, values, times, settled)
 
     def _remarks(self) -> Iterator[str]:
         observed = self._observed
@@ -261,5 +180,5 @@ def gaps_in_words(gaps: Sequence[Gap]) -> str:
 
 def worst_first(rows: Iterable[LiveRow]) -> list[LiveRow]:
     """Rows with misses first, then by kind as they came."""
-    order = list(StreamKind)
+    order = list(STREAMS.values())
     return sorted(rows, key=lambda row: (-(row.misses or 0), order.index(row.kind)))

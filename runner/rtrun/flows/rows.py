@@ -10,7 +10,7 @@ from typing import IO
 
 import numpy as np
 
-from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.values import Int64s
 from rtrun.results.columns import PIECE_ROWS, NoRoom, collected, kept_in
 
 # An hour of 10000 messages a second with their callbacks takes 2.5 GiB.

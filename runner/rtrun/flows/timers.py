@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtfiles.output import counted
-from rtrun.analysis.histogram import Int64s
 from rtrun.flows.programs import Handle, LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
 from rtrun.flows.values import int64s, steps
 from rtrun.kinds.messages import NOT_SEEN_NS
-from rtrun.kinds.output import no_values
+from rtrun.kinds.values import Int64s, no_values
 from rtrun.probes.hits import HITS_CLOCK
 from rtrun.results.columns import PIECE_ROWS, collected
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rtrun.analysis.histogram import Int64s
 from rtrun.flows.rows import Rows
-from rtrun.kinds.output import no_values
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.values import Int64s, no_values
 from rtrun.results.columns import PIECE_ROWS, pieces
 
 

@@ -12,9 +12,10 @@ from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.judgement.digest import JudgedDigest
+from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import MAIN_ONLY_IN_2014
 from rtrun.plan.observation import stream_words
-from rtrun.plan.question import Measure, Question
+from rtrun.plan.question import Question
 from rtrun.plan.suites import NOT_TELLING, Value, measures, options, telling_parameters
 from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform

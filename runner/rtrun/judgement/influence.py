@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from rtrun.analysis.layers import INFLUENCE_QUANTILES, Attribution, attribute
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.known import STREAMS
 from rtrun.plan.topology.others import OTHER_NODES
 
-_KINDS = (StreamKind.PATH, StreamKind.AGE)
+_SUITES = frozenset(kind.suite for kind in STREAMS.values() if kind.is_of_paths)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class Influence:
 
 def influences(study: Study) -> tuple[Influence, ...]:
     """Every path that was measured alone, and beside others."""
-    of_paths = [group for group in study.groups if group.suite in {kind.suite for kind in _KINDS} and group.blocks]
+    of_paths = [group for group in study.groups if group.suite in _SUITES and group.blocks]
     return tuple(
         Influence(alone=alone, beside=beside, attribution=_attribution(alone, beside, study.question.confidence))
         for alone in of_paths

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from rtrun.analysis.layers import Attribution, attribute
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
-from rtrun.kinds.known import KINDS, kind_of
+from rtrun.kinds.known import KINDS
 from rtrun.plan.middleware.description import middlewares
-from rtrun.plan.suites import is_real_time, middleware_of, options, period_of, suite
+from rtrun.plan.suites import is_real_time, kind_of, middleware_of, options, period_of, suite
 from rtrun.targets.inspection.platform import Platform
 
 # Parameters of a layer alone; all others must be the same in both.

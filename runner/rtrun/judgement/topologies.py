@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from rtrun.judgement.groups import format_parameters
 from rtrun.judgement.study import Study
-from rtrun.plan.observation import StreamDeadline, StreamKind
+from rtrun.kinds.path import STREAM as PATH
+from rtrun.plan.observation import StreamDeadline
 from rtrun.plan.suites import telling_parameters
 from rtrun.plan.topology.planning import SUITE, own_deadlines
 from rtrun.results.record import RunRecord, RunStatus
@@ -91,7 +92,7 @@ def _longest_ns(found: TopologyRecord) -> int:
 
 def _critical(found: TopologyRecord) -> PathFigures | None:
     """The path whose reaction is the largest part of its deadline; where none has one, the longest reaction."""
-    deadlines = {each.name: each for each in own_deadlines(found.topology) if each.kind is StreamKind.PATH}
+    deadlines = {each.name: each for each in own_deadlines(found.topology) if each.kind is PATH}
     measured = [path for path in found.paths if path.reaction.max_ns is not None]
     with_deadline = [path for path in measured if ",".join(path.topics) in deadlines]
     return max(with_deadline or measured, key=lambda path: _urgency(path, deadlines), default=None)

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, LogForm, MeasurementKind
-from rtrun.kinds.output import IndexedValues, Record, no_values
-from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, check_wall_times, without
+from rtrun.kinds.kind import LogForm, MeasurementKind
+from rtrun.kinds.rows import MAX_ABSENT, Columns, Stated, agree, check_times, check_wall_times, without
+from rtrun.kinds.values import IndexedValues, Int64s, no_values
 
 # Clocks that NTP disciplines drift from others by 500 ppm at most.
 _NTP_DRIFT = 5e-4
@@ -19,23 +18,23 @@ _FEW_CALLS = 16
 _LEAST_STEP_NS = 1_000_000  # NTP steps a clock by more, and slews it by less
 
 
-def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
+def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
     """Lateness of each call, jitter of each period, and the grid from the first timestamp; from the second one on."""
     timestamp = np.asarray(columns["timestamp_ns"])
     check_times(path, timestamp)
-    agree(path, "measured periods", max(len(timestamp) - 1, 0), record.counts.measured)
+    agree(path, "measured periods", max(len(timestamp) - 1, 0), stated.measured)
     index = np.arange(max(len(timestamp) - 1, 0))
     passed_ns = timestamp[1:] - timestamp[:1] if len(timestamp) else timestamp
-    frequency_hz = _frequency_hz(record, path)
+    frequency_hz = _frequency_hz(stated, path)
     period_ns = _grid_ns(1, frequency_hz)
     return {
-        "lateness": _lateness(columns, record, path, period_ns),
+        "lateness": _lateness(columns, stated, path, period_ns),
         "jitter": IndexedValues(values_ns=np.diff(timestamp) - period_ns, index=index),
         "grid": IndexedValues(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index),
     }
 
 
-def _lateness(columns: Columns, record: Record, path: Path, period_ns: int) -> IndexedValues:
+def _lateness(columns: Columns, stated: Stated, path: Path, period_ns: int) -> IndexedValues:
     """How late each call is against the grid that the middleware keeps, whose skipped periods are absent.
 
     roscpp moves its grid when it is two periods behind, rcl when it is one: what it moves it by beyond whole periods
@@ -52,8 +51,8 @@ def _lateness(columns: Columns, record: Record, path: Path, period_ns: int) -> I
         raise UsageError(
             f"{path}: {total} periods were skipped: none with more than {MAX_ABSENT} is read; was the wall clock set?"
         )
-    if record.rate.skipped is not None:
-        agree(path, "skipped", total, record.rate.skipped)
+    if stated.skipped is not None:
+        agree(path, "skipped", total, stated.skipped)
     # The loop of each call, counted with the periods that were skipped before it.
     loops = np.arange(values.size) + np.cumsum(skipped)
     return IndexedValues(
@@ -87,8 +86,8 @@ def _grid_ns(periods: Any, frequency_hz: int) -> Any:
     return (2 * periods * 10**9 + frequency_hz) // (2 * frequency_hz)
 
 
-def _frequency_hz(record: Record, path: Path) -> int:
-    frequency_hz = record.requested.get("frequency_hz")
+def _frequency_hz(stated: Stated, path: Path) -> int:
+    frequency_hz = stated.requested.get("frequency_hz")
     if not isinstance(frequency_hz, int):
         raise UsageError(
             f"{path.with_suffix('.json')}: requested.frequency_hz: must be a whole number, got {frequency_hz!r}"

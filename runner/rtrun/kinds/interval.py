@@ -5,20 +5,19 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, MeasurementKind
-from rtrun.kinds.output import IndexedValues, Record
-from rtrun.kinds.rows import agree, check_times, not_come, within_segments
+from rtrun.kinds.kind import MeasurementKind, StreamKind
+from rtrun.kinds.rows import Columns, Stated, agree, check_times, not_come, within_segments
+from rtrun.kinds.values import IndexedValues, Int64s
 
 
-def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
+def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
     timestamp = np.asarray(columns["timestamp_ns"])
     check_times(path, timestamp)
     # The first row of a segment is the origin of its first interval.
     row = np.flatnonzero(within_segments(columns["segment"], timestamp.size)) + 1
     values = timestamp[row] - timestamp[row - 1]
-    agree(path, "measured", values.size, record.counts.measured)
-    absent = not_come(record, values.size, timestamp.size, "intervals have not ended", path)
+    agree(path, "measured", values.size, stated.measured)
+    absent = not_come(stated, values.size, timestamp.size, "intervals have not ended", path)
     if values.size and int(values.min()) < 0:
         raise UsageError(f"{path}: the time of row {int(row[values.argmin()])} is before that of the row before")
     return {"interval": IndexedValues(values_ns=values, index=row, absent=absent)}
@@ -28,4 +27,16 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["timestamp_ns"][values.index])
 
 
-KIND = MeasurementKind(series=_series, called={"interval": "interval"}, times=_times, subject="between messages")
+STREAM = StreamKind(
+    word="interval",
+    suite="observed_intervals",
+    named_by="topic",
+    words=("{topic}", "at {end}", "{node}"),
+    at="timestamp_ns",
+    is_between_rows=True,
+    filled={"segment": 0},
+    overdue="no message in the last {}, though its program lives",
+)
+KIND = MeasurementKind(
+    series=_series, called={"interval": "interval"}, times=_times, subject="between messages", stream=STREAM
+)

@@ -4,12 +4,13 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.output import IndexedValues, Record
-from rtrun.plan.question import Measure
+from rtrun.kinds.rows import Columns, Stated
+from rtrun.kinds.values import IndexedValues, Int64s
 
-Columns = Mapping[str, Int64s]
+Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reaction", "response", "age"]
+"""What a suite measures."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,29 +29,93 @@ class LogForm:
     missing_as_value: bool = False
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class StreamKind:
+    """A kind of stream: values of one thing in programs that run already.
+
+    `word` stands before the name of one, and `suite` is its entry in observed.yml. A deadline names a stream by its
+    parameter `named_by`; without a word where that `is_plain`.
+
+    `words` are templates of what tells a stream from others, each left out where a parameter of it is missing.
+    `begins_with` is a parameter that begins with what the stream is, and stands there instead of the word; `hidden`
+    are parameters that the words tell in another way, `usual` values that go without saying.
+
+    `at` is the column that says when a value was there, `index` the one that numbers the values; empty: the row does.
+    Where `is_between_rows`, a value lies between two rows of one segment. `filled` are columns that may be missing: a
+    number, or another column. `has_period`: its samples need the period.
+
+    `overdue` is a sentence about what had not come at the end, with the time since.
+
+    `is_shown` while observed, even without a deadline; `is_traced`: late values of it can have a trace;
+    `is_of_topologies`: only the nodes of a topology can tell it, which write down when they were due.
+    """
+
+    word: str
+    suite: str
+    named_by: str
+    at: str
+    words: tuple[str, ...]
+    is_plain: bool = False
+    begins_with: str = ""
+    hidden: tuple[str, ...] = ()
+    usual: Mapping[str, object] = field(default_factory=dict)
+    index: str = ""
+    is_between_rows: bool = False
+    filled: Mapping[str, int | str] = field(default_factory=dict)
+    has_period: bool = False
+    overdue: str = ""
+    is_shown: bool = False
+    is_traced: bool = False
+    is_of_topologies: bool = False
+
+    def __str__(self) -> str:
+        return self.word
+
+    @property
+    def is_of_paths(self) -> bool:
+        """Whether it is of a path of topics."""
+        return self.named_by == "path"
+
+    def name(self, name: str) -> str:
+        """A stream as a deadline names it."""
+        return name if self.is_plain else f"{self.word}:{name}"
+
+    def in_words(self, parameters: Mapping[str, object]) -> tuple[str, frozenset[str]]:
+        """A stream in a few words, and the parameters that these tell, where it has them."""
+        parts = [*self.words, f"{{{self.begins_with}}}", *(f"{{{key}}}" for key in self.hidden)]
+        keys = frozenset(re.findall(r"{(\w+)}", " ".join(parts)))
+        told = {key: value for key, value in parameters.items() if key in keys and value is not None}
+        shown = {key: value for key, value in told.items() if key not in self.usual or value != self.usual[key]}
+        of = [each.format_map(shown) for each in self.words if set(re.findall(r"{(\w+)}", each)) <= shown.keys()]
+        return " ".join(filter(None, [str(told.get(self.begins_with) or self.word), *of])), keys
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MeasurementKind:
     """A kind of measurement.
 
     `series` makes the series of the samples from their columns, each of shape (rows,), the first of which is what the
-    suite is about; it raises UsageError, which names the file, where rows and counts disagree. `called` says what a
-    question calls a series; of two by one name the first in the samples is meant. `times` are the moments at which
-    the values of a series were measured, int64 (n,).
+    suite is about; it raises UsageError, which names the file, where the rows disagree with what is stated of them.
+    `called` says what a question calls a series; of two by one name the first in the samples is meant. `times` are the
+    moments at which the values of a series were measured, int64 (n,).
 
     `subject` says in words what the values of a series are of, after its name: "of the timer".
 
     `startup` says of how many loops at the start of a run the values of a series stand apart, as in the thesis.
     `layer_below` is the baseline, or the kind, that measures what this one's values are on top of.
 
-    `logs` is the form of its logs of 2014; None: there were none. `has_steps`: a value is on its way between two
-    programs, and the steps of that can be told (causes/steps.py).
+    `logs` is the form of its logs of 2014; None: there were none. `stream` is how it is observed; None: it is not.
+    `has_steps`: a value is on its way between two programs, and the steps of that can be told (causes/steps.py).
+    `is_of_callbacks`: what was measured is a callback itself, none of those before it is a reason.
     """
 
-    series: Callable[[Columns, Record, Path], dict[str, IndexedValues]]
+    series: Callable[[Columns, Stated, Path], dict[str, IndexedValues]]
     called: Mapping[str, Measure]
     times: Callable[[Columns, IndexedValues], Int64s]
     subject: str
     startup: Mapping[str, int] = field(default_factory=dict)
     layer_below: str = ""
     logs: LogForm | None = None
+    stream: StreamKind | None = None
     has_steps: bool = False
+    is_of_callbacks: bool = False

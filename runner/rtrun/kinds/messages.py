@@ -6,39 +6,37 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, LogForm, MeasurementKind
-from rtrun.kinds.output import IndexedValues, Record, no_values
-from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, disagree, without
+from rtrun.kinds.kind import LogForm, MeasurementKind, StreamKind
+from rtrun.kinds.rows import MAX_ABSENT, Columns, Stated, agree, check_times, disagree, without
+from rtrun.kinds.values import IndexedValues, Int64s, no_values
 
 NOT_SEEN_NS = -(2**63)
 """Instead of a time that nothing has seen."""
 
 
-def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
+def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
     publication, reception, arrived = columns["publication_ns"], columns["reception_ns"], columns["seq"]
-    counts = record.counts
     check_times(path, publication, reception)
     is_in_order = bool(np.all(arrived[1:] > arrived[:-1]))
     # Most samples are in order. To sort them would take longer than all the figures.
     seq, order = (arrived, slice(None)) if is_in_order else np.unique(arrived, return_index=True)
     first, last = (int(seq[0]), int(seq[-1])) if seq.size else (0, -1)
-    if first < 0 or last >= counts.asked:
+    if first < 0 or last >= stated.asked:
         raise UsageError(
-            f"{disagree(path)}: seq: {first} to {last} in the rows, {counts.asked} asked for in the counts"
+            f"{disagree(path)}: seq: {first} to {last} in the rows, {stated.asked} asked for in the counts"
         )
     if len(seq) != len(arrived):
         raise UsageError(
             f"{disagree(path)}: seq: {len(arrived) - len(seq)} numbers stand in the rows again, which hold each once"
         )
-    agree(path, "measured", len(seq), counts.measured)
+    agree(path, "measured", len(seq), stated.measured)
     # A subscriber that did not see the last message knows of the gaps between those that came only.
-    missing = range(last + 1 - len(seq), counts.asked - len(seq) + 1)
-    if counts.missing not in (missing[-1:] if record.complete else missing):
-        agree(path, "missing", missing[-1], counts.missing)
+    missing = range(last + 1 - len(seq), stated.asked - len(seq) + 1)
+    if stated.missing not in (missing[-1:] if stated.is_complete else missing):
+        agree(path, "missing", missing[-1], stated.missing)
     falls = 0 if is_in_order else int(np.count_nonzero(arrived[1:] < arrived[:-1]))
-    agree(path, "out of order", falls, counts.out_of_order)
-    absent = _absent(seq, counts.asked, path) if counts.missing else no_values()
+    agree(path, "out of order", falls, stated.out_of_order)
+    absent = _absent(seq, stated.asked, path) if stated.missing else no_values()
     series = {"latency": IndexedValues(values_ns=(reception - publication)[order], index=seq, absent=absent)}
     if "callback_end_ns" in columns:
         end = columns["callback_end_ns"]
@@ -64,6 +62,19 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["reception_ns"][order[np.searchsorted(seq, values.index, sorter=order)]])
 
 
+STREAM = StreamKind(
+    word="messages",
+    suite="observed_messages",
+    named_by="topic",
+    is_plain=True,
+    words=("{topic}", "{publisher}", "-> {subscriber}"),
+    at="reception_ns",
+    index="seq",
+    filled={"callback_end_ns": NOT_SEEN_NS},
+    overdue="nothing of what was published in the last {} was taken, though both programs live",
+    is_shown=True,
+    is_traced=True,
+)
 KIND = MeasurementKind(
     series=_series,
     called={"latency": "latency"},
@@ -72,6 +83,7 @@ KIND = MeasurementKind(
     # The first message.
     startup={"latency": 1},
     layer_below="oneshot",
+    stream=STREAM,
     has_steps=True,
     logs=LogForm(
         suite="communication_tests",

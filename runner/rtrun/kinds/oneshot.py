@@ -5,20 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, LogForm, MeasurementKind
-from rtrun.kinds.output import IndexedValues, Record
-from rtrun.kinds.rows import agree, check_times
+from rtrun.kinds.kind import LogForm, MeasurementKind
+from rtrun.kinds.rows import Columns, Stated, agree, check_times
+from rtrun.kinds.values import IndexedValues, Int64s
 
 NOT_FIRED_NS = -(2**63)
 
 
-def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
-    counts = record.counts
+def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
     fired = columns["measured_ns"] != NOT_FIRED_NS
     index = np.flatnonzero(fired)
-    agree(path, "measured", len(index), counts.measured)
-    agree(path, "not fired", len(fired) - len(index), counts.not_fired)
+    agree(path, "measured", len(index), stated.measured)
+    agree(path, "not fired", len(fired) - len(index), stated.not_fired)
     start, armed = columns["start_ns"], columns["armed_ns"][index]
     measured, reported = columns["measured_ns"][index], columns["reported_ns"][index]
     check_times(path, start, columns["end_ns"][index], measured, reported, armed)

@@ -1,14 +1,35 @@
 """What the kinds have in common: rows of samples checked against the counts and against what times can be."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s, pieces
-from rtrun.kinds.output import Record
-from rtrun.plan.limits import TIME_MAX_NS, WALL_TIME_MAX_NS
+from rtrun.kinds.limits import TIME_MAX_NS, WALL_TIME_MAX_NS
+from rtrun.kinds.values import Int64s, pieces
+
+Columns = Mapping[str, Int64s]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Stated:
+    """What the json beside the samples says of them: how many were asked for, and what became of them.
+
+    `skipped` are periods in which nothing came, None where that is not said; `requested` are the parameters.
+    """
+
+    asked: int
+    measured: int
+    not_fired: int
+    missing: int
+    out_of_order: int
+    skipped: int | None
+    is_complete: bool
+    requested: Mapping[str, object]
+
 
 MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
 
@@ -54,13 +75,13 @@ def within_segments(segment: Int64s | None, rows: int) -> NDArray[np.bool_]:
     return np.asarray(segment[1:] == segment[:-1])
 
 
-def not_come(record: Record, measured: int, rows: int, what: str, path: Path) -> Int64s:
+def not_come(stated: Stated, measured: int, rows: int, what: str, path: Path) -> Int64s:
     """The number of a value that had not come when the observation ended, beyond its deadline already: int64, 0 or 1.
 
     `what` names them, for the UsageError that is raised then.
     """
-    missing = record.counts.missing
-    agree(path, "missing", record.counts.asked - measured, missing)
+    missing = stated.missing
+    agree(path, "missing", stated.asked - measured, missing)
     if missing > 1:
         raise UsageError(f"{path}: {missing} {what}: only the last one may")
     return np.arange(rows, rows + missing)

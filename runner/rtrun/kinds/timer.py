@@ -5,23 +5,32 @@ from pathlib import Path
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.kind import Columns, MeasurementKind
-from rtrun.kinds.output import IndexedValues, Record, no_values
-from rtrun.kinds.rows import MAX_ABSENT, agree, check_times, check_wall_times, not_come, within_segments, without
+from rtrun.kinds.kind import MeasurementKind, StreamKind
+from rtrun.kinds.rows import (
+    MAX_ABSENT,
+    Columns,
+    Stated,
+    agree,
+    check_times,
+    check_wall_times,
+    not_come,
+    within_segments,
+    without,
+)
+from rtrun.kinds.values import IndexedValues, Int64s, no_values
 
 UNKNOWN_NS = -1
 """Instead of the time at which a call was due, where that is not known."""
 _NOT_KNOWN = "when the timer was due is not known: ask for the jitter (--of jitter)"
 
 
-def _series(columns: Columns, record: Record, path: Path) -> dict[str, IndexedValues]:
+def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
     """Lateness of each call and jitter of each period, but for the first call of what was seen without a gap."""
-    called, period_ns = np.asarray(columns["timestamp_ns"]), _period_ns(record, path)
+    called, period_ns = np.asarray(columns["timestamp_ns"]), _period_ns(stated, path)
     check_times(path, called)
     row = np.flatnonzero(within_segments(columns["segment"], called.size)) + 1
-    agree(path, "measured periods", row.size, record.counts.measured)
-    absent = not_come(record, row.size, called.size, "calls did not come", path)
+    agree(path, "measured periods", row.size, stated.measured)
+    absent = not_come(stated, row.size, called.size, "calls did not come", path)
     jitter = IndexedValues(values_ns=called[row] - called[row - 1] - period_ns, index=row, absent=absent)
     return {"lateness": _lateness(columns, row, period_ns, absent.size, path), "jitter": jitter}
 
@@ -42,8 +51,8 @@ def _lateness(columns: Columns, row: Int64s, period_ns: int, overdue: int, path:
     return IndexedValues(values_ns=(real - due)[row], index=row, absent=absent)
 
 
-def _period_ns(record: Record, path: Path) -> int:
-    period_ns = record.requested.get("period_ns")
+def _period_ns(stated: Stated, path: Path) -> int:
+    period_ns = stated.requested.get("period_ns")
     if not isinstance(period_ns, int) or not 0 < period_ns < 1 << 62:
         raise UsageError(f"{path.with_suffix('.json')}: requested.period_ns: a whole number above 0, got {period_ns!r}")
     return period_ns
@@ -53,6 +62,26 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
     return np.asarray(columns["timestamp_ns"][values.index])
 
 
+STREAM = StreamKind(
+    word="timer",
+    suite="observed_timers",
+    named_by="node",
+    # Its name begins with what it is, and has its period.
+    begins_with="timer",
+    words=("of {node}", "({clock} clock)"),
+    hidden=("period_ns",),
+    at="timestamp_ns",
+    is_between_rows=True,
+    filled={"segment": 0, "expected_ns": UNKNOWN_NS, "real_ns": "timestamp_ns"},
+    has_period=True,
+    overdue="a call was due {} ago and did not come, though its program lives: it hangs, or was cancelled",
+    is_shown=True,
+    is_traced=True,
+)
 KIND = MeasurementKind(
-    series=_series, called={"lateness": "lateness", "jitter": "jitter"}, times=_times, subject="of the timer"
+    series=_series,
+    called={"lateness": "lateness", "jitter": "jitter"},
+    times=_times,
+    subject="of the timer",
+    stream=STREAM,
 )

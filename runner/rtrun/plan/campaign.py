@@ -12,9 +12,9 @@ from pydantic import BeforeValidator, Field
 from rtfiles.config import Config, Place, UserPath, matching, parse, read_yaml_with_place
 from rtfiles.errors import UsageError
 from rtfiles.wording import unknown
+from rtrun.kinds.limits import MEASURING_PRIORITY_MAX, Seed
 from rtrun.plan import conditions, suites
 from rtrun.plan.goal import Goal, Time
-from rtrun.plan.limits import MEASURING_PRIORITY_MAX, Seed
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.observation import SUITE as OBSERVATION
 from rtrun.plan.observation import (

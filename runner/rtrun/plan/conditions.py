@@ -13,7 +13,7 @@ from rtfiles.config import Config, load_own
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import whole_number
 from rtfiles.wording import unknown
-from rtrun.plan.limits import CPUS_MAX
+from rtrun.kinds.limits import CPUS_MAX
 from rtrun.plan.middleware.description import NONE
 from rtrun.plan.program import Program
 from rtrun.plan.suites import Option, Strings, Value, check_numbers

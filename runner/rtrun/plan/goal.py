@@ -6,16 +6,7 @@ from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from rtfiles.config import Config
 from rtrun.plan.quantities import read_probability, read_share, read_time_ns
-from rtrun.plan.question import (
-    BURSTS_MAX,
-    NONE_TOLERATED,
-    THESIS,
-    Of,
-    Question,
-    Tolerance,
-    boots_for,
-    read_tolerance,
-)
+from rtrun.plan.question import BURSTS_MAX, NONE_TOLERATED, THESIS, Of, Question, Tolerance, boots_for, read_tolerance
 
 Time = Annotated[int, BeforeValidator(read_time_ns)]
 Probability = Annotated[float, BeforeValidator(read_probability)]

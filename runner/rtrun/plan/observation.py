@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from rtfiles.wording import did_you_mean, unknown
+from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.known import STREAMS
+from rtrun.kinds.messages import STREAM as MESSAGES
+from rtrun.kinds.path import STREAM as PATH
 from rtrun.plan.quantities import read_time_ns
 
 if TYPE_CHECKING:
@@ -16,80 +19,17 @@ SUITE = "observation"
 """The suite of a run that observes; what it saw becomes runs of the other suites of observed.yml."""
 ATTACHED = "attached"
 _TOPIC = "topic"
-# Parameters of streams that their names tell.
-_IN_WORDS = frozenset(
-    (
-        "topic",
-        "publisher",
-        "subscriber",
-        "node",
-        "timer",
-        "clock",
-        "period_ns",
-        "callback",
-        "thread",
-        "end",
-        "path",
-        "sink",
-    )
-)
 _NO_SAMPLER = ("sampler", "none")
-
-
-class StreamKind(StrEnum):
-    """What a stream is made of; the word that stands before the name of one, but for messages."""
-
-    MESSAGES = "messages"
-    TIMER = "timer"
-    CALLBACK = "callback"
-    INTERVALS = "interval"
-    PATH = "path"
-    RESPONSE = "response"
-    AGE = "age"
-
-    @property
-    def suite(self) -> str:
-        """Its entry in observed.yml."""
-        return "observed_messages" if self is StreamKind.MESSAGES else f"observed_{self}s"
-
-    @property
-    def named_by(self) -> str:
-        """The parameter of a stream by which it is named."""
-        return {"messages": "topic", "interval": "topic", "path": "path", "age": "path"}.get(self, "node")
-
-    @property
-    def is_of_topologies(self) -> bool:
-        """Whether it can be told of the nodes of a topology alone, which write down when they were due."""
-        return self in (StreamKind.RESPONSE, StreamKind.AGE)
 
 
 def stream_words(suite: str, parameters: "Mapping[str, Value]") -> "tuple[str, dict[str, Value]]":
     """A stream in a few words, and the parameters that these do not tell; no words of what was not observed."""
-    kind = next((kind for kind in StreamKind if kind.suite == suite), None)
+    kind = next((kind for kind in STREAMS.values() if kind.suite == suite), None)
     if kind is None:
         return "", dict(parameters)
-    told = {key: value for key, value in parameters.items() if key in _IN_WORDS and value is not None}
-
-    def word(before: str, key: str, after: str = "") -> str:
-        return f"{before}{told[key]}{after}" if key in told else ""
-
-    if kind is StreamKind.TIMER:
-        # Its name begins with what it is, and has its period.
-        words = [word("", "timer") or str(kind), word("of ", "node"), word("(", "clock", " clock)")]
-    elif kind is StreamKind.CALLBACK:
-        words = [str(kind), word("", "callback"), word("of ", "node")]
-        words += [word("(thread ", "thread", ")")] if told.get("thread") != 1 else []
-    elif kind is StreamKind.INTERVALS:
-        words = [str(kind), word("", "topic"), word("at ", "end"), word("", "node")]
-    elif kind is StreamKind.RESPONSE:
-        words = [str(kind), word("of ", "node")]
-    elif kind in (StreamKind.PATH, StreamKind.AGE):
-        words = [str(kind), word("", "path"), word("to ", "publisher"), word("-> ", "sink")]
-    else:
-        words = [str(kind), word("", "topic"), word("", "publisher"), word("-> ", "subscriber")]
+    words, told = kind.in_words(parameters)
     # That nothing samples the target goes without saying where nothing is measured but what runs there.
-    others = {key: value for key, value in parameters.items() if key not in _IN_WORDS and (key, value) != _NO_SAMPLER}
-    return " ".join(filter(None, words)), others
+    return words, {key: value for key, value in parameters.items() if key not in told and (key, value) != _NO_SAMPLER}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -116,14 +56,14 @@ def read_stream_deadline(text: object) -> StreamDeadline:
     what, equals, time = text.rpartition("=")
     word, colon, name = what.partition(":")
     if not colon:
-        word, name = (StreamKind.PATH if "," in what else StreamKind.MESSAGES), what
-    if not equals or not name or word not in [*StreamKind]:
-        words = ", ".join(StreamKind)
+        word, name = (PATH if "," in what else MESSAGES).word, what
+    if not equals or not name or word not in STREAMS:
+        words = ", ".join(STREAMS)
         raise ValueError(
             f"{text[:60]!r}: takes TOPIC=TIME, as /cmd_vel=5ms, or one of {words} before it, as timer:/node=200us"
         )
-    kind = StreamKind(word)
-    if kind.named_by == "path":
+    kind = STREAMS[word]
+    if kind.is_of_paths:
         read_path(name)
     elif kind.named_by == "topic":
         _check_topic(name)
@@ -195,5 +135,5 @@ class ObservationPlan:
     @property
     def followed(self) -> tuple[tuple[str, ...], ...]:
         """Every path that is followed, each once."""
-        of_deadlines = (tuple(each.name.split(",")) for each in self.deadlines if each.kind is StreamKind.PATH)
+        of_deadlines = (tuple(each.name.split(",")) for each in self.deadlines if each.kind is PATH)
         return tuple(dict.fromkeys((*self.paths, *of_deadlines)))

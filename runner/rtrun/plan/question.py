@@ -6,12 +6,10 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from rtfiles.quantities import grouped, time
+from rtrun.kinds.kind import Measure
 
 Of = Literal["lateness", "jitter"]
 """The values that a question may name. Lateness is how late something came that was due: every latency is one."""
-Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reaction", "response", "age"]
-"""What a suite measures."""
-
 # So many loops are looked at together at most: a second at 1 kHz.
 AMONG_MAX = 1000
 # No goal asks for longer bursts.
@@ -120,8 +118,9 @@ class Bursts:
 def bursts_asked(asked: Question, period_ns: float | None = None, longest_seen: int = 1) -> Bursts:
     """What was asked for, else a stall of `STALL_NS`, or the longest burst that was seen, in misses.
 
-    `period_ns` is that of one stream; one that is not known counts as `UNKNOWN_PERIOD_NS`. Where some are tolerated, what is counted are the windows with too many misses: a stall of L loops makes
-    L - N ends of more than N in a row, and L + M - 1 - 2 N windows of M loops that hold more than N.
+    `period_ns` is that of one stream; one that is not known counts as `UNKNOWN_PERIOD_NS`. Where some are tolerated,
+    what is counted are the windows with too many misses: a stall of L loops makes L - N ends of more than N in a row,
+    and L + M - 1 - 2 N windows of M loops that hold more than N.
     """
     if asked.bursts is not None:
         return Bursts(length=asked.bursts, why="asked")

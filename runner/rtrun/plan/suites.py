@@ -16,10 +16,11 @@ from pydantic import AfterValidator, Field
 from rtfiles.config import Config, load_own
 from rtfiles.errors import UsageError
 from rtfiles.wording import did_you_mean, unknown
-from rtrun.plan.limits import CPU_DMA_LATENCY_MAX_US, PID_MAX, RT_PRIORITY_MAX
+from rtrun.kinds.kind import Measure, MeasurementKind
+from rtrun.kinds.known import KINDS, called
+from rtrun.kinds.limits import CPU_DMA_LATENCY_MAX_US, PID_MAX, RT_PRIORITY_MAX
 from rtrun.plan.middleware.description import DEFAULT, NONE, middleware_names, middlewares
 from rtrun.plan.quantities import INTERVAL_MAX_US
-from rtrun.plan.question import Measure
 
 Value = str | int | None
 Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
@@ -45,7 +46,8 @@ _HIGHEST_OF_OTHERS = {
 
 Subject = Literal["started", "attached"]
 """What a run measures: programs that it starts, or programs that run already."""
-Kind = Literal["oneshot", "cyclic", "messages", "timer", "callback", "interval", "path", "response", "age", "topology"]
+# A graph of nodes has no samples of its own: its streams have.
+_GRAPH = "topology"
 
 
 class Option(Config):
@@ -107,11 +109,17 @@ class Option(Config):
         raise ValueError(f"takes {self.allowed}, got {value!r}{',' if hint else ''}{hint}")
 
 
+def _check_kind(name: str) -> str:
+    if name not in (*KINDS, _GRAPH):
+        raise ValueError(unknown("kind", name, known=[*KINDS]))
+    return name
+
+
 class Suite(Config):
     """One suite: its programs, the parameters each takes, and what it writes; or what is observed of other programs."""
 
     summary: str
-    kind: Kind | None = None
+    kind: Annotated[str, AfterValidator(_check_kind)] | None = None
     """How its samples are read (rtrun.kinds); None: it writes none, as a baseline."""
     subject: Subject = "started"
     measures: Annotated[tuple[Measure, ...], Field(strict=False, min_length=1)]
@@ -231,6 +239,18 @@ def find_suite(name: str) -> Suite | None:
     """The suite or baseline of this name, or what is observed; None for one that is not known."""
     # The files are read as far as the name needs them.
     return next((of().suites[name] for of in (suites, baselines, observed) if name in of().suites), None)
+
+
+def kind_of(name: str) -> MeasurementKind | None:
+    """The kind of a suite by its name; None for one that is not known, and for what writes no samples."""
+    described = find_suite(name)
+    return KINDS.get(described.kind) if described and described.kind else None
+
+
+def in_words(name: str, series: str) -> str:
+    """What the values of a series of a suite are: "lateness of the timer"."""
+    kind = kind_of(name)
+    return f"{called(series) or series.replace('_', ' ')} {kind.subject if kind else f'by {name}'}"
 
 
 def suite(name: str) -> Suite:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.values import Int64s
 from rtrun.probes.formats import EventFormat, RawValues
 from rtrun.probes.hits import Hit
 

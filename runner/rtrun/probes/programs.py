@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rtfiles.output import counted
 from rtfiles.untrusted import MIB, whole_number
-from rtrun.plan.limits import COUNT_MAX, CPUS_MAX, PID_MAX, RT_PRIORITY_MAX
+from rtrun.kinds.limits import COUNT_MAX, CPUS_MAX, PID_MAX, RT_PRIORITY_MAX
 from rtrun.probes.hits import ObservedProgram, ProgramThread
 from rtrun.probes.libraries.description import libraries
 from rtrun.targets.errors import TargetError

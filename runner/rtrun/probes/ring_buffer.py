@@ -9,7 +9,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from rtrun.plan.limits import TIME_MAX_NS
+from rtrun.kinds.limits import TIME_MAX_NS
 from rtrun.probes.formats import subbuffer_bytes
 
 _MISSED = 1 << 31

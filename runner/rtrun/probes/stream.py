@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 
 from rtfiles.untrusted import whole_number
-from rtrun.plan.limits import CPUS_MAX, PID_MAX, WALL_TIME_MAX_NS
+from rtrun.kinds.limits import CPUS_MAX, PID_MAX, WALL_TIME_MAX_NS
 from rtrun.probes.formats import EventFormat
 from rtrun.probes.hits import Gap, GapCause, Hit
 from rtrun.probes.kernel_events import EventKind, KernelEvents, WaitingEvents

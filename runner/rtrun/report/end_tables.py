@@ -16,14 +16,15 @@ from rtrun.judgement.influence import influences
 from rtrun.judgement.layers import LayerPair
 from rtrun.judgement.study import Study, environment, in_word
 from rtrun.judgement.topologies import MeasuredTopology
-from rtrun.kinds.output import NON_MEASURING_THREADS
+from rtrun.kinds.kind import Measure
 from rtrun.plan.quantities import time_text
-from rtrun.plan.question import NONE_TOLERATED, Measure
+from rtrun.plan.question import NONE_TOLERATED
 from rtrun.report import causes, influence, late_paths, layers
 from rtrun.report.ranking import ranking
 from rtrun.report.tables import Table, printable_table
 from rtrun.report.topology_tables import bound_table, hop_table
 from rtrun.report.tracing_cost import thresholds, tracing_cost
+from rtrun.results.output import NON_MEASURING_THREADS
 from rtrun.results.record import RunRecord
 
 

@@ -1,13 +1,14 @@
 """What is measured of observed programs, as it stands now: a table that is drawn anew, lines, or JSON."""
 
 import json
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Self
 
 from rtfiles.output import console, counted, print_line
 from rtfiles.quantities import duration, grouped, time
 from rtrun.flows.live import LiveRow, Snapshot, worst_first
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.messages import STREAM as MESSAGES
+from rtrun.kinds.timer import STREAM as TIMER
 from rtrun.report.screen import fitted
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from rich.live import Live
 
 _HEADINGS = ("what", "of", "number", "rate/Hz", "median", "p99", "worst", "lost", "misses")
-_SHOWN = (StreamKind.MESSAGES, StreamKind.TIMER, StreamKind.PATH)
 _ROUND_THE_TABLE = 5  # lines of a screen that the table leaves free
 
 
@@ -34,7 +34,7 @@ def live_table(snapshot: Snapshot, width: int, height: int) -> "Group":
 
 
 def _shown(snapshot: Snapshot) -> list[LiveRow]:
-    return [row for row in snapshot.rows if row.kind in _SHOWN or row.deadline_ns is not None]
+    return [row for row in snapshot.rows if row.kind.is_shown or row.deadline_ns is not None]
 
 
 def _cells(row: LiveRow) -> tuple[str, ...]:
@@ -57,11 +57,11 @@ def _cells(row: LiveRow) -> tuple[str, ...]:
 def live_line(snapshot: Snapshot) -> str:
     """The same in a line: how much there is, and the worst of what has a deadline, as that names it."""
     rows = _shown(snapshot)
-    messages = [row for row in rows if row.kind is StreamKind.MESSAGES]
+    messages = [row for row in rows if row.kind is MESSAGES]
     parts = [
         f"{duration(snapshot.observed_s)}: {counted(sum(row.n for row in messages), 'message')}",
         f"{sum(row.lost or 0 for row in messages)} lost",
-        counted(sum(row.kind is StreamKind.TIMER for row in rows), "timer"),
+        counted(sum(row.kind is TIMER for row in rows), "timer"),
     ]
     with_deadline: dict[tuple[StreamKind, str], list[LiveRow]] = {}
     for row in rows:
@@ -70,14 +70,14 @@ def live_line(snapshot: Snapshot) -> str:
     for (kind, name), alike in with_deadline.items():
         worst_ns = max((row.worst_ns for row in alike if row.worst_ns is not None), default=None)
         worst = "no value yet" if worst_ns is None else f"worst {time(worst_ns)}"
-        named = name if kind in (StreamKind.MESSAGES, StreamKind.PATH) else f"{kind}:{name}"
-        parts.append(f"{named}: {worst}, misses {sum(row.misses or 0 for row in alike)}")
+        parts.append(f"{kind.name(name)}: {worst}, misses {sum(row.misses or 0 for row in alike)}")
     return ", ".join((*parts, *snapshot.remarks))
 
 
 def live_json(snapshot: Snapshot) -> str:
     """The same as one JSON object in a line, for programs."""
-    return json.dumps(asdict(snapshot))
+    rows = [{name: getattr(row, name) for name in row.__slots__} | {"kind": str(row.kind)} for row in snapshot.rows]
+    return json.dumps({name: getattr(snapshot, name) for name in snapshot.__slots__} | {"rows": rows})
 
 
 class LiveView:

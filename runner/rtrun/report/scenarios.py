@@ -12,8 +12,8 @@ from rtrun.judgement.digest import Digest, pool_figures
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import severity, verdict_line
-from rtrun.kinds.known import in_words
 from rtrun.plan.conditions import IDLE
+from rtrun.plan.suites import in_words
 from rtrun.report.tables import Table, printable_table
 from rtrun.results.series import MEASURED_2014, NOTE_2014
 

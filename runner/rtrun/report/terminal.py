@@ -12,9 +12,9 @@ from rich.text import Text
 
 from rtfiles.output import counted, print_line, printable
 from rtfiles.quantities import time
-from rtrun.kinds.rate import OFF_MAX
 from rtrun.plan.observation import stream_words
 from rtrun.plan.suites import NOT_TELLING, Value, find_suite, options, output_name
+from rtrun.results.rate import OFF_MAX
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header, Result
 from rtrun.targets.inspection.platform import Platform, weakest
 

@@ -146,7 +146,7 @@ def _paths(plan: TopologyPlan) -> Iterator[str]:
     of_paths = [each for each in plan.deadlines if each.kind.named_by == "path"]
     for path in plan.paths[:_SHOWN]:
         own = [
-            f"{each.kind.replace('path', 'reaction')} {time(each.deadline_ns)}"
+            f"{each.kind.word.replace('path', 'reaction')} {time(each.deadline_ns)}"
             for each in of_paths
             if each.name == path.name
         ]

@@ -10,7 +10,7 @@ from typing import IO
 import numpy as np
 
 from rtfiles.errors import InfrastructureError
-from rtrun.analysis.histogram import Int64s
+from rtrun.kinds.values import Int64s
 
 PIECE_ROWS = 2**16
 """What is in memory at one time."""

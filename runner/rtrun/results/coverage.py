@@ -8,7 +8,7 @@ from pydantic import Field
 from rtfiles.config import Config
 from rtfiles.output import counted, listed
 from rtfiles.quantities import time
-from rtrun.plan.limits import TIME_MAX_NS
+from rtrun.kinds.limits import TIME_MAX_NS
 from rtrun.probes.hits import Gap, GapCause, covered_ns, joined
 
 SpanNs = Annotated[int, Field(ge=0, le=TIME_MAX_NS)]

@@ -18,7 +18,7 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import IndexedValue
 from rtrun.kinds.known import LOGS
-from rtrun.plan.limits import TIME_MAX_NS
+from rtrun.kinds.limits import TIME_MAX_NS
 
 MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
 MAX_LINE_BYTES = 1 << 20

@@ -13,9 +13,9 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.analysis.figures import LISTED, IndexedValue
-from rtrun.analysis.histogram import Int64s
 from rtrun.kinds.known import LOGS
-from rtrun.plan.limits import COUNT_MAX
+from rtrun.kinds.limits import COUNT_MAX
+from rtrun.kinds.values import Int64s
 from rtrun.plan.suites import LogFacts, Value, read_log_name
 from rtrun.results.gnuplot_lines import COUNTS, Printed, Text, read_text
 

@@ -11,11 +11,11 @@ from pydantic import Field
 
 from rtfiles import atomic
 from rtfiles.config import Config, read_json
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.output import Counts, Files, Indices, InEffect, Record, Thread, Traces, Uname
-from rtrun.kinds.rate import Rate
+from rtrun.kinds.values import Int64s
 from rtrun.plan.suites import Value, suite
 from rtrun.results.columns import pieces
+from rtrun.results.output import Counts, Files, Indices, InEffect, Record, Thread, Traces, Uname
+from rtrun.results.rate import Rate
 from rtrun.results.texts import StoredText
 
 CLOCK = "CLOCK_MONOTONIC"

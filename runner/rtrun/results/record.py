@@ -13,10 +13,7 @@ from pydantic import AfterValidator, Field
 
 from rtfiles.config import Config, read_json
 from rtfiles.errors import UsageError
-from rtrun.kinds.output import Costs, Thread
-from rtrun.kinds.rate import OFF_MAX, Rate
-from rtrun.plan.conditions import IDLE, Settings
-from rtrun.plan.limits import (
+from rtrun.kinds.limits import (
     ClockStepNs,
     Count,
     Cpu,
@@ -34,11 +31,14 @@ from rtrun.plan.limits import (
     TemperatureMc,
     TimeNs,
 )
+from rtrun.plan.conditions import IDLE, Settings
 from rtrun.plan.question import Question
 from rtrun.plan.run import KernelName
 from rtrun.plan.suites import Parameters, Subject, Value, middleware_of, suite, suites
 from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.results.coverage import Coverage
+from rtrun.results.output import Costs, Thread
+from rtrun.results.rate import OFF_MAX, Rate
 from rtrun.targets.inspection.control_groups import ControlGroup
 from rtrun.targets.inspection.facts import Fact
 from rtrun.targets.inspection.platform import Platform

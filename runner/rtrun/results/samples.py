@@ -13,11 +13,11 @@ import numpy as np
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.known import called, kind_of
-from rtrun.kinds.output import IndexedValues, Record
-from rtrun.plan.question import Measure
-from rtrun.plan.suites import described_suites, suite
+from rtrun.kinds.kind import Measure
+from rtrun.kinds.known import called
+from rtrun.kinds.values import IndexedValues, Int64s
+from rtrun.plan.suites import described_suites, kind_of, suite
+from rtrun.results.output import Record
 
 MAX_NPY_BYTES = 4 << 30
 # An npy without a row is its header: of a few columns this size, as the format rounds it up to 64 bytes.
@@ -73,7 +73,7 @@ def read_samples(path: Path, record: Record | None = None) -> Samples:
         raise UsageError(f"{json_path}: columns: {', '.join(record.columns)}, must be {', '.join(names)}")
     rows = read_rows(npy_path, names)
     columns = {name: rows[:, place] for place, name in enumerate(names)}
-    series = kind.series(columns, record, npy_path)
+    series = kind.series(columns, record.stated, npy_path)
     return Samples(path=npy_path, record=record, columns=columns, series=series)
 
 

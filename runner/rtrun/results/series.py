@@ -13,11 +13,12 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram, figures_of_samples
-from rtrun.analysis.histogram import Histogram, Int64s
+from rtrun.analysis.histogram import Histogram
+from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import MAIN_2014, called, startup_loops
-from rtrun.kinds.output import InEffect
-from rtrun.plan.question import Measure
+from rtrun.kinds.values import Int64s
 from rtrun.plan.suites import Value, judged, measures, period_of, suite
+from rtrun.results.output import InEffect
 from rtrun.results.samples import Samples, read_samples
 from rtrun.targets.inspection.platform import Platform
 

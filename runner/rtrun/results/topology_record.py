@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, Field, TypeAdapter
 
 from rtfiles import atomic
 from rtfiles.config import Config, read_json
-from rtrun.plan.limits import Count, TimeNs
+from rtrun.kinds.limits import Count, TimeNs
 from rtrun.plan.topology.topology import Topology
 
 FILE = "topology.json"

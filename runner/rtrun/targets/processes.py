@@ -10,7 +10,7 @@ from typing import overload
 
 from rtfiles.output import listed
 from rtfiles.untrusted import whole_number
-from rtrun.plan.limits import PID_MAX
+from rtrun.kinds.limits import PID_MAX
 from rtrun.plan.program import Exit, Program
 from rtrun.targets import groups
 from rtrun.targets.connection import join_commands

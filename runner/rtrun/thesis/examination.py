@@ -15,8 +15,7 @@ from rtrun.analysis.layers import figure_of
 from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study
 from rtrun.kinds.kind import MeasurementKind
-from rtrun.kinds.known import kind_of
-from rtrun.plan.suites import is_real_time
+from rtrun.plan.suites import is_real_time, kind_of
 
 # Fewer runs a side do not show how much runs differ by themselves.
 LEAST_RUNS = 5

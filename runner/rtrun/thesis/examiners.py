@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from rtfiles.output import showing_progress
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
-from rtrun.kinds.known import kind_of
+from rtrun.plan.suites import kind_of
 from rtrun.targets.inspection.platform import Platform
 from rtrun.thesis import general, timers
 from rtrun.thesis.examination import ClaimResult, Finding

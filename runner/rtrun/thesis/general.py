@@ -13,7 +13,8 @@ from rtrun.judgement.digest import JudgedDigest
 from rtrun.judgement.groups import Group, slowest
 from rtrun.judgement.study import Study
 from rtrun.kinds import messages, oneshot
-from rtrun.kinds.known import KINDS, kind_of
+from rtrun.kinds.known import KINDS
+from rtrun.plan.suites import kind_of
 from rtrun.thesis.examination import (
     NEVER_BELOW,
     ClaimResult,

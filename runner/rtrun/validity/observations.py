@@ -12,9 +12,7 @@ from typing import Any, TextIO
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import LINE_CHARACTERS_MAX, MIB, real_number, whole_number
-from rtrun.kinds.output import NON_MEASURING_THREADS
-from rtrun.plan.conditions import cpu_set
-from rtrun.plan.limits import (
+from rtrun.kinds.limits import (
     FREQUENCY_MAX_KHZ,
     PID_MAX,
     RT_PRIORITY_MAX,
@@ -24,6 +22,8 @@ from rtrun.plan.limits import (
     NumberT,
     Range,
 )
+from rtrun.plan.conditions import cpu_set
+from rtrun.results.output import NON_MEASURING_THREADS
 from rtrun.results.record import Observed, Rival
 from rtrun.targets.inspection.facts import POLICIES
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
-from rtrun.kinds.output import Record, SenderRecord
-from rtrun.kinds.rate import OFF_MAX, is_missed
 from rtrun.plan import suites
 from rtrun.plan.conditions import Background
 from rtrun.plan.program import Exit, Program
 from rtrun.plan.run import Run
 from rtrun.results.gnuplot_log import Log, read_log
+from rtrun.results.output import Record, SenderRecord
+from rtrun.results.rate import OFF_MAX, is_missed
 from rtrun.results.record import Observed, RunStatus, UnrelatedEnd
 from rtrun.results.samples import read_samples
 from rtrun.validity import baselines, requirements

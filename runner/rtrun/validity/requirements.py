@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-from rtrun.kinds.output import NON_MEASURING_THREADS, Record
 from rtrun.plan import conditions, suites
 from rtrun.plan.conditions import Background, cpu_set
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.run import Run
+from rtrun.results.output import NON_MEASURING_THREADS, Record
 from rtrun.results.record import Requested
 from rtrun.validity.observations import APART_S, Observation, ThreadState, busy_percent, while_measuring
 

@@ -24,7 +24,7 @@ OVERHEAD_S = 2.0
 
 
 def goal(**keys):
-    return Goal(**{"deadline": "400us", "probability": "1e-3", "at_most": "1h", **keys})
+    return Goal(**{"deadline": "400us", "probability": "1e-3", "at_most": "1h", "bursts": 1, **keys})
 
 
 def groups_of(*frequencies):

@@ -10,7 +10,7 @@ from rtrun.execution import late_values
 from rtrun.execution.late_values import LateValueRecord
 from rtrun.flows.live import BinnedValues, NewValues
 from rtrun.flows.turns import Turn
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.messages import STREAM as MESSAGES
 from rtrun.probes.formats import EventFormat
 from rtrun.probes.kernel_events import WaitingEvents
 from rtrun.results import texts
@@ -34,7 +34,7 @@ def batch(times_ns=(), hits=(), gaps=()):
 
 def values(source, times_ns):
     times_ns = np.array(times_ns)
-    return NewValues(source, StreamKind.MESSAGES, np.full(times_ns.size, MS), times_ns, BinnedValues())
+    return NewValues(source, MESSAGES, np.full(times_ns.size, MS), times_ns, BinnedValues())
 
 
 def test_hits_while_the_clock_of_the_target_stands_still(monkeypatch):

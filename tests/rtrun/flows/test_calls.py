@@ -6,8 +6,10 @@ from made_flows import MS, S, gap, hit, node, program, publish, publish_bytes, t
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.flows.streams import streams
+from rtrun.kinds.callback import STREAM as CALLBACK
 from rtrun.kinds.messages import NOT_SEEN_NS
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.messages import STREAM as MESSAGES
+from rtrun.kinds.path import STREAM as PATHS
 
 PATH = ("/scan", "/objects", "/cmd")
 SCAN, OBJECTS = 0xA0, 0xA1
@@ -51,7 +53,7 @@ def accumulate(hits, paths=(("/scan", "/objects"),), recorder=None):
 
 def reactions(observed):
     """Times from the first message of the path to the last, and how many of the last ones came from nothing known."""
-    made = of_kind(observed, StreamKind.PATH)
+    made = of_kind(observed, PATHS)
     if not made:
         return [], 0
     (stream,) = made
@@ -103,26 +105,26 @@ def test_a_path_of_three_topics():
         ]  # fmt: skip
     observed = accumulate(hits, [PATH])
     assert reactions(observed) == ([5 * MS] * 100, 0)
-    (path,) = of_kind(observed, StreamKind.PATH)
+    (path,) = of_kind(observed, PATHS)
     assert path.identity == {"path": "/scan,/objects,/cmd", "publisher": "/driver"}
     # Without the messages between, nothing is known.
     missing = [one for one in hits if one.values.get("topic") != "/objects" or one.event != "take"]
     observed = accumulate(missing, [PATH])
     assert reactions(observed) == ([], 100)
-    assert of_kind(observed, StreamKind.PATH)[0].remarks == ("path unknown: 100 % of 100 messages at its end",)
+    assert of_kind(observed, PATHS)[0].remarks == ("path unknown: 100 % of 100 messages at its end",)
 
 
 def test_a_gap_ends_what_was_begun():
     missed = gap(0, 0)._replace(from_ns=215, until_ns=218)
     observed = accumulate([A[0], B[0], begin(210), missed, out(220), end(240)])
     assert reactions(observed) == ([], 1)
-    (messages,) = of_kind(observed, StreamKind.MESSAGES)
+    (messages,) = of_kind(observed, MESSAGES)
     assert "callback_end_ns" not in messages.columns
 
 
 def test_ends_of_callbacks_stand_beside_their_messages():
     hits = [*A, B[0], begin(210), end(240), B[1]]
-    (messages,) = of_kind(accumulate(hits), StreamKind.MESSAGES)
+    (messages,) = of_kind(accumulate(hits), MESSAGES)
     assert messages.columns["callback_end_ns"].tolist() == [240, NOT_SEEN_NS]
 
 
@@ -134,7 +136,7 @@ def test_which_message_a_callback_of_roscpp_is_about_is_not_known():
         begin(start + 200, topic="/scan"), publish_bytes(start + 210, (9, 9, 40), "/objects", pid=2, endpoint=OBJECTS),
     ]  # fmt: skip
     observed = accumulate(hits)
-    assert reactions(observed) == ([], 1) and of_kind(observed, StreamKind.CALLBACK) == []
+    assert reactions(observed) == ([], 1) and of_kind(observed, CALLBACK) == []
 
 
 def test_callbacks_are_named_by_their_beginning():
@@ -154,7 +156,7 @@ def test_callbacks_are_named_by_their_beginning():
     observed.observe([])
     observed.observe([node(2, "detector")])
     observed.feed(hits)
-    made = of_kind(observed, StreamKind.CALLBACK)
+    made = of_kind(observed, CALLBACK)
     found = [(*one.identity.values(), (one.columns["end_ns"] - one.columns["begin_ns"]).tolist()) for one in made]
     assert found == [("/arm", "/scan", 1, [1]), ("/arm", "timer 1 ms", 1, [3] * 4)]
 
@@ -171,7 +173,7 @@ def test_durations_by_callback_and_thread():
             begin(start + 4 * MS, 0xF2), end(start + 4 * MS + 9, 0xF2),
         ]  # fmt: skip
     recorder = FlowRecorder(25)
-    made = of_kind(accumulate(hits, recorder=recorder), StreamKind.CALLBACK)
+    made = of_kind(accumulate(hits, recorder=recorder), CALLBACK)
     found = {
         (one.identity["callback"], one.identity["thread"]): set(
             (one.columns["end_ns"] - one.columns["begin_ns"]).tolist()

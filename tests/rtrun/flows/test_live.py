@@ -13,7 +13,11 @@ from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures
 from rtrun.flows.streams import streams
 from rtrun.flows.values import differences
-from rtrun.plan.observation import StreamKind, read_stream_deadline
+from rtrun.kinds.interval import STREAM as INTERVAL
+from rtrun.kinds.known import STREAMS
+from rtrun.kinds.messages import STREAM as MESSAGES
+from rtrun.kinds.timer import STREAM as TIMER
+from rtrun.plan.observation import read_stream_deadline
 from rtrun.probes.hits import Gap, GapCause
 from rtrun.report.live import LiveView, live_json, live_line, live_table
 
@@ -60,18 +64,18 @@ def seen():
 
 def values_of(stream):
     columns = stream.columns
-    if stream.kind is StreamKind.MESSAGES:
+    if stream.kind is MESSAGES:
         return columns["reception_ns"] - columns["publication_ns"]
-    if stream.kind is StreamKind.TIMER:
+    if stream.kind is TIMER:
         return columns["real_ns"] - columns["expected_ns"]
-    if stream.kind is StreamKind.INTERVALS:
+    if stream.kind is INTERVAL:
         return differences(columns["timestamp_ns"], stream.cuts)
     return columns["end_ns"] - columns["begin_ns"]
 
 
 def test_figures_are_those_of_all_values(seen):
     observed, snapshots = seen
-    made = {kind: [one for one in streams(observed) if one.kind is kind] for kind in StreamKind}
+    made = {kind: [one for one in streams(observed) if one.kind is kind] for kind in STREAMS.values()}
     rows = snapshots[-1].rows
     assert len(rows) == sum(map(len, made.values()))
     for kind, of_kind in made.items():
@@ -83,7 +87,7 @@ def test_figures_are_those_of_all_values(seen):
                 assert exact <= estimate + 1 <= exact * 1.017 + 2
             if row.deadline_ns is not None:
                 assert row.misses == np.count_nonzero(values > row.deadline_ns)
-            if kind is StreamKind.MESSAGES:
+            if kind is MESSAGES:
                 assert row.lost == stream.counts["lost"] > 0
     with_deadline = {(row.kind, row.name) for row in rows if row.deadline_ns is not None}
     assert with_deadline == {(each.kind, each.name) for each in DEADLINES[:-1]}
@@ -91,7 +95,7 @@ def test_figures_are_those_of_all_values(seen):
 
 def test_rates_are_of_the_last_second(seen):
     _, snapshots = seen
-    timer = [next(row.rate_hz for row in one.rows if row.kind is StreamKind.TIMER) for one in snapshots[:10]]
+    timer = [next(row.rate_hz for row in one.rows if row.kind is TIMER) for one in snapshots[:10]]
     assert timer[2] == 100 and timer[4] == pytest.approx(50, abs=2) and timer[9] == 100
     assert snapshots[4].remarks == ("1 gap of 0.5 s together: the kernel lost events",)
 

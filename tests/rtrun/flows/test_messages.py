@@ -26,19 +26,20 @@ from made_flows import (
 
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.streams import streams
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.interval import STREAM as INTERVAL
+from rtrun.kinds.messages import STREAM as MESSAGES
 
 PAIR = {"topic": "/a", "publisher": "/talker", "subscriber": "/listener"}
 
 
 def messages(observed):
     """The streams of messages by the labels of their ends."""
-    made = [stream for stream in streams(observed) if stream.kind is StreamKind.MESSAGES]
+    made = [stream for stream in streams(observed) if stream.kind is MESSAGES]
     return {(one.identity["publisher"], one.identity["subscriber"]): one for one in made}
 
 
 def ends(observed):
-    made = [stream for stream in streams(observed) if stream.kind is StreamKind.INTERVALS]
+    made = [stream for stream in streams(observed) if stream.kind is INTERVAL]
     return {(one.identity["end"], one.identity["node"]): one for one in made}
 
 
@@ -119,7 +120,7 @@ def test_what_no_publication_is_known_of_is_said_once_for_a_subscriber():
     told = [(one.kind, one.identity, one.remarks) for one in streams(observed) if one.remarks]
     assert len(messages(observed)) == 2 and len(told) == 1
     ((kind, identity, (remark,)),) = told
-    assert (kind, identity["end"], identity["topic"]) == (StreamKind.INTERVALS, "subscriber", "/a")
+    assert (kind, identity["end"], identity["topic"]) == (INTERVAL, "subscriber", "/a")
     assert remark.startswith("1 message came whose publication was not seen, of whatever publisher: ")
 
 
@@ -253,7 +254,7 @@ def test_payloads_that_begin_with_their_time_are_matched_at_once(is_told):
         own = second + (nanosecond << 32), number, 100
         observed.feed([publish_bytes(at_ns + 10, own, "/b", endpoint=1), take_bytes(at_ns + 20, own, "/b", endpoint=1)])
     observed.finish()
-    of = {stream.identity["topic"]: stream.counts for stream in streams(observed) if stream.kind == "messages"}
+    of = {stream.identity["topic"]: stream.counts for stream in streams(observed) if stream.kind is MESSAGES}
     assert of["/a"]["received"] == 100 * is_told and of["/b"]["received"] == 100
 
 
@@ -363,7 +364,7 @@ def test_what_could_not_be_told_apart_is_named_by_what_was_compared():
     observed.feed([*bytes_of_two, take_bytes(5010, payload), take_bytes(5011, payload)])
     observed.feed([*stamps_of_two, take(6010, 7 - WALL_NS, "/b", endpoint=0xB1)])
     observed.finish()
-    made = [stream for stream in streams(observed) if stream.kind is StreamKind.MESSAGES]
+    made = [stream for stream in streams(observed) if stream.kind is MESSAGES]
     assert {(stream.identity["topic"], stream.remarks) for stream in made} == {
         (topic, (f"not known of 1 publication whether they came: other messages have the same {compared}",))
         for topic, compared in (("/a", "first 12 bytes and length"), ("/b", "time stamp"))

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from made_flows import BEGIN_NS, MS, S, System, gap, hit, listener, node, publish, take, talker
 
-from rtrun.flows import decided, messages, rows, streams, timers, topics, values
+from rtrun.flows import decided, messages, rows, timers, topics, values
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures
+from rtrun.flows.observed import source
 from rtrun.flows.rows import RowStore
+from rtrun.flows.streams import streams
 from rtrun.results import columns
 from rtrun.results.columns import NoRoom
 
@@ -19,7 +21,7 @@ OF_BYTES = System([talker(payloads=40), listener()], loss=0.02, is_ordered=True)
 
 @pytest.fixture
 def all_on_disk(monkeypatch, tmp_path):
-    for module in (rows, timers, streams, values, decided, columns):
+    for module in (rows, timers, source, values, decided, columns):
         monkeypatch.setattr(module, "PIECE_ROWS", 7)
     monkeypatch.setattr(rows, "IN_MEMORY_BYTES_MAX", 0)
     monkeypatch.setattr(rows, "_EXTENT_BYTES_LEAST", 1)
@@ -68,7 +70,7 @@ def test_streams_are_the_same_from_the_disk(request, system):
     def read():
         observed, _ = system.observe(gaps=[gap(6, 7)])
         figures = LiveFigures(observed).snapshot(BEGIN_NS + 30 * S)
-        return [*streams.streams(observed)], figures
+        return [*streams(observed)], figures
 
     in_memory, before = read()
     request.getfixturevalue("all_on_disk")
@@ -91,7 +93,7 @@ def test_timers_are_the_same_from_the_disk(request):
         numbers = [n for n in range(1, 300) if n % 14]
         calls = [hit(n * 10 * MS + n, "timer_call", expected_ns=n * 10 * MS, **told) for n in numbers]
         observed.feed([*calls, gap(1.2, 1.3)._replace(from_ns=1200 * MS, until_ns=1300 * MS)])
-        (stream,) = streams.streams(observed)
+        (stream,) = streams(observed)
         return stream
 
     in_memory = read()
@@ -138,7 +140,7 @@ def test_a_disk_that_is_full(monkeypatch, all_on_disk):
     (pair,) = observed.topics.pairs.values()
     assert len(pair.rows) == 30 and pair.rows.read()[-1].tolist()[:2] == [99 * MS, 100 * MS]
     monkeypatch.setattr(columns.tempfile, "TemporaryFile", refuse)
-    made = [*streams.streams(observed)]
+    made = [*streams(observed)]
     assert [stream.identity for stream in made if stream.trouble] == [stream.identity for stream in made]
     assert not any(stream.columns for stream in made)
 

@@ -7,9 +7,10 @@ import pytest
 from made_flows import BEGIN_NS, MS, S, gap, hit, node
 
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.flows.streams import _stalled_ns, streams
+from rtrun.flows.observed.source import stalled_ns
+from rtrun.flows.streams import streams
 from rtrun.flows.timers import ClockOffsets
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.timer import STREAM as TIMER
 
 PERIOD_NS = 10 * MS
 
@@ -22,7 +23,7 @@ def calls(number, *, late=lambda call: 1000 * (call % 7), offset=lambda at_ns: 0
 
 
 def timers(observed):
-    return [stream for stream in streams(observed) if stream.kind is StreamKind.TIMER]
+    return [stream for stream in streams(observed) if stream.kind is TIMER]
 
 
 def accumulate(hits, begin_ns=0):
@@ -177,4 +178,4 @@ def test_a_clock_may_drift_by_500_ppm_and_20_us_and_steps_beyond(passed_ns, move
 )
 def test_what_has_not_come_for_three_seconds_and_longer_than_ever_is_stalled(passed_ns, longest_ns, is_stalled):
     observed = SimpleNamespace(until_ns=BEGIN_NS + passed_ns)
-    assert _stalled_ns(BEGIN_NS, longest_ns, observed) == (passed_ns if is_stalled else 0)
+    assert stalled_ns(BEGIN_NS, longest_ns, observed) == (passed_ns if is_stalled else 0)

@@ -13,7 +13,7 @@ from rtrun.flows.topology.fates import fates
 from rtrun.flows.topology.late import late_path
 from rtrun.flows.topology.streams import topology_streams
 from rtrun.flows.topology.tables import NONE, HopTable, NodeTable, TopologyTables
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.path import STREAM as PATH
 from rtrun.plan.topology.planning import TopologyPlan
 from rtrun.plan.topology.topology import Executor, NodePath, Topology, TopologyNode, TopologyTopic, Waits
 
@@ -194,7 +194,7 @@ def test_what_was_never_reacted_to_counts_unless_the_run_ended_too_early_to_see_
     tables = replace(tables_of(topology, rows, came, 0), until_ns=300 * MS)
     (path,) = topology.all_paths()
     plan = TopologyPlan(topology=topology, for_s=0.3, paths=(path,))
-    (reaction,) = (each for each in topology_streams(tables, plan) if each.kind is StreamKind.PATH)
+    (reaction,) = (each for each in topology_streams(tables, plan) if each.kind is PATH)
     assert (reaction.columns["end_ns"].size, reaction.counts["lost"]) == (died_at, never)
 
 

@@ -11,9 +11,9 @@ from report.campaigns import cyclic_run, latencies, oneshot_run
 from written import write_record
 
 from rtrun.cli import main
-from rtrun.kinds.output import Uname
 from rtrun.plan.quantities import read_time_ns
 from rtrun.results.observed import ObservedOutput, Provenance, write_stream
+from rtrun.results.output import Uname
 
 
 def write_oneshot(root, name="a", n=5000, mean_us=90.0, seed=1, **more):

@@ -15,12 +15,12 @@ from written import write_record
 from rtrun.cli import main
 from rtrun.judgement.study import study
 from rtrun.kinds.messages import NOT_SEEN_NS
-from rtrun.kinds.output import Thread, Uname
 from rtrun.kinds.timer import UNKNOWN_NS
 from rtrun.plan.question import Question
 from rtrun.report.contents import contents
 from rtrun.report.plots.charts import plots
 from rtrun.results.observed import ObservedOutput, Provenance, write_stream
+from rtrun.results.output import Thread, Uname
 
 PERIOD_NS = 10_000_000
 N = 6000

@@ -24,7 +24,7 @@ GOAL = Goal(deadline="400us", probability="1e-3", at_most="1h")
 
 def verdict_of(n: int) -> Verdict:
     trials = count_misses(np.full(n, 90_000), 400_000)
-    return judge(Account([trials]), Question(probability=1e-3))
+    return judge(Account([trials]), Question(probability=1e-3, bursts=1))
 
 
 def standing_of(verdict: Verdict, label: str = "timer RR") -> Standing:

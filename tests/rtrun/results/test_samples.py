@@ -11,7 +11,7 @@ import pytest
 from written import write_communication, write_cyclic, write_oneshot, write_output
 
 from rtfiles.errors import UsageError
-from rtrun.kinds.output import IndexedValues
+from rtrun.kinds.values import IndexedValues
 from rtrun.results.samples import read_samples
 
 

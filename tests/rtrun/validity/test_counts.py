@@ -5,8 +5,8 @@ from written import write_communication, write_oneshot
 
 from logs import LOGS_2014
 from rtfiles.config import read_json
-from rtrun.kinds.output import Record
 from rtrun.results.gnuplot_log import read_log
+from rtrun.results.output import Record
 from rtrun.validity.outcome import find_count_mismatch
 
 

@@ -9,9 +9,9 @@ from written import write_cyclic
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
-from rtrun.kinds.output import Record
 from rtrun.plan import conditions
 from rtrun.plan.campaign import Campaign, plan
+from rtrun.results.output import Record
 from rtrun.validity.observations import read_observations, summarize
 from rtrun.validity.requirements import find_unseen_option, find_violation, measuring_threads, requested
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from rtfiles.errors import InfrastructureError
 from rtrun.execution.middleware.service import Service
-from rtrun.plan.limits import PID_MAX
+from rtrun.kinds.limits import PID_MAX
 from rtrun.plan.program import Program
 from rtrun.targets import processes
 from rtrun.targets.connection import Connection

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtrun.analysis.histogram import Int64s
 from rtrun.flows.topology.tables import NONE, HopTable, NodeTable, TopologyTables
+from rtrun.kinds.values import Int64s
 from rtrun.plan.topology.topology import NodePath
 
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtrun.analysis.histogram import Int64s
 from rtrun.flows.topology.tables import NONE, HopTable, TopologyTables
+from rtrun.kinds.values import Int64s
 
 ON_THE_WAY = "dropped on the way"
 """By the middleware or its transport, in a queue that was full or elsewhere: no program saw it."""

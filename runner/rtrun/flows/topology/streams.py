@@ -5,13 +5,19 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from rtfiles.quantities import time
-from rtrun.analysis.histogram import Int64s
 from rtrun.flows.topology.chains import Spans, ages, origins, reactions, unanswered
 from rtrun.flows.topology.fates import HopFates, fates
 from rtrun.flows.topology.tables import NONE, HopTable, NodeTable, TopologyTables
 from rtrun.flows.values import Stream
+from rtrun.kinds.age import STREAM as AGE
+from rtrun.kinds.callback import STREAM as CALLBACK
+from rtrun.kinds.kind import StreamKind
 from rtrun.kinds.messages import NOT_SEEN_NS
-from rtrun.plan.observation import StreamKind
+from rtrun.kinds.messages import STREAM as MESSAGES
+from rtrun.kinds.path import STREAM as PATH
+from rtrun.kinds.response import STREAM as RESPONSE
+from rtrun.kinds.timer import STREAM as TIMER
+from rtrun.kinds.values import Int64s
 from rtrun.plan.topology.planning import TopologyPlan
 from rtrun.plan.topology.topology import NodePath
 
@@ -22,8 +28,8 @@ def topology_streams(tables: TopologyTables, plan: TopologyPlan) -> Iterator[Str
         of = origins(tables, path)
         answered = reactions(tables, path, of[0])
         never = unanswered(tables, path, answered) if answered.end_ns.size else 0
-        yield _path(StreamKind.PATH, path, answered, lost=never)
-        yield _path(StreamKind.AGE, path, ages(tables, path, of[0]))
+        yield _path(PATH, path, answered, lost=never)
+        yield _path(AGE, path, ages(tables, path, of[0]))
     for hop in tables.hops:
         if hop.subscriber in plan.others:
             continue
@@ -36,8 +42,8 @@ def topology_streams(tables: TopologyTables, plan: TopologyPlan) -> Iterator[Str
             yield _timer(table, name, node.period_ns)
         release, begin, end = (each[table.first :] for each in (table.release_ns, table.begin_ns, table.end_ns))
         # A point of its period that it skipped was due, and never done.
-        yield _spans(StreamKind.RESPONSE, {"node": name}, release, end, lost=table.skipped)
-        yield _spans(StreamKind.CALLBACK, {"node": name, "callback": node.name}, begin, end)
+        yield _spans(RESPONSE, {"node": name}, release, end, lost=table.skipped)
+        yield _spans(CALLBACK, {"node": name, "callback": node.name}, begin, end)
 
 
 def _path(kind: StreamKind, path: NodePath, spans: Spans, *, lost: int = 0) -> Stream:
@@ -53,7 +59,7 @@ def _spans(kind: StreamKind, identity: Mapping[str, str], begin_ns: Int64s, end_
 def _timer(table: NodeTable, name: str, period_ns: int) -> Stream:
     due, begin = table.release_ns[table.first :], table.begin_ns[table.first :]
     return Stream(
-        kind=StreamKind.TIMER,
+        kind=TIMER,
         identity={"node": name, "timer": f"timer {time(period_ns)}"},
         columns={"timestamp_ns": begin, "expected_ns": due, "real_ns": begin},
         counts={"measured": due.size, "skipped": table.skipped},
@@ -68,7 +74,7 @@ def _messages(tables: TopologyTables, hop: HopTable, of_hop: HopFates) -> Stream
     end = np.full(rows.size, NOT_SEEN_NS)
     end[taken != NONE] = subscriber.end_ns[taken[taken != NONE]]
     return Stream(
-        kind=StreamKind.MESSAGES,
+        kind=MESSAGES,
         identity={"topic": hop.topic, "publisher": f"/{hop.publisher}", "subscriber": f"/{hop.subscriber}"},
         columns={
             "publication_ns": hop.publication_ns[rows],

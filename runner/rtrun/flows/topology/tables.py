@@ -11,12 +11,12 @@ import numpy as np
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.output import HostRecord
 from rtrun.kinds.rows import check_uptimes
+from rtrun.kinds.values import Int64s
 from rtrun.plan.topology.planning import WARM_UP_NS
 from rtrun.plan.topology.rates import period_points
 from rtrun.plan.topology.topology import Topology, TopologyNode
+from rtrun.results.output import HostRecord
 from rtrun.results.samples import read_rows
 
 ACTIVATION = ("release_ns", "begin_ns", "done_ns", "end_ns", "cpu_ns")

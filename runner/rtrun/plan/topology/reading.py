@@ -12,8 +12,8 @@ from rtfiles.config import Config, Place, matching, parse, read_yaml_with_place
 from rtfiles.errors import UsageError
 from rtfiles.output import listed
 from rtfiles.wording import did_you_mean, unknown
+from rtrun.kinds.limits import MEASURING_PRIORITY_MAX
 from rtrun.plan.conditions import cpu_set
-from rtrun.plan.limits import MEASURING_PRIORITY_MAX
 from rtrun.plan.observation import read_path
 from rtrun.plan.quantities import read_size_bytes, read_time_ns
 from rtrun.plan.suites import options

@@ -9,8 +9,7 @@ from rtfiles import atomic
 from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtfiles.untrusted import read_bytes
-from rtrun.kinds.known import kind_of
-from rtrun.plan.suites import Value, period_of
+from rtrun.plan.suites import Value, kind_of, period_of
 from rtrun.results import run_directory
 from rtrun.results.gnuplot_lines import MAX_SIZE_BYTES
 from rtrun.results.gnuplot_log import read_log

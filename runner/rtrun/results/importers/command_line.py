@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from rtfiles.errors import UsageError
-from rtrun.plan.limits import CPU_DMA_LATENCY_MAX_US, RT_PRIORITY_MAX
+from rtrun.kinds.limits import CPU_DMA_LATENCY_MAX_US, RT_PRIORITY_MAX
 from rtrun.plan.quantities import INTERVAL_MAX_US
 from rtrun.plan.suites import Value
 from rtrun.results.importers.counts import words_in

@@ -12,7 +12,7 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json, whole_number
 from rtrun.analysis.histogram import Histogram
-from rtrun.plan.limits import COUNT_MAX
+from rtrun.kinds.limits import COUNT_MAX
 
 NO_INTERVAL = "the interval"
 NO_ORDER = "the order of the measurements: bursts and trends cannot be seen"

@@ -8,7 +8,7 @@ from typing import Any
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import lines_of
-from rtrun.plan.limits import CPU_DMA_LATENCY_MAX_US, CPUS_MAX
+from rtrun.kinds.limits import CPU_DMA_LATENCY_MAX_US, CPUS_MAX
 from rtrun.plan.suites import Value, period_of
 from rtrun.plan.topology.rates import cpus_text
 from rtrun.results.importers.command_line import Command, read_command

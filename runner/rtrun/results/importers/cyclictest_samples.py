@@ -20,8 +20,9 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtfiles.quantities import time
 from rtfiles.untrusted import MIB, lines_in, read_beginning
-from rtrun.analysis.histogram import Histogram, Int64s
-from rtrun.plan.limits import CPUS_MAX, TIME_MAX_NS
+from rtrun.analysis.histogram import Histogram
+from rtrun.kinds.limits import CPUS_MAX, TIME_MAX_NS
+from rtrun.kinds.values import Int64s
 from rtrun.results.importers.counts import NO_INTERVAL
 from rtrun.results.importers.cyclictest import NO_OPTIONS, NO_UNIT, read_text
 from rtrun.results.importers.samples_file import ImportedSamples

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from rtfiles.config import Config, parse, read_json
 from rtfiles.untrusted import MIB
 from rtrun.analysis.histogram import Histogram
-from rtrun.plan.limits import COUNT_MAX, TIME_MAX_NS, Count, MeanNs, PeriodNs, TimeNs
+from rtrun.kinds.limits import COUNT_MAX, TIME_MAX_NS, Count, MeanNs, PeriodNs, TimeNs
 from rtrun.results.importers.counts import MAX_BINS
 from rtrun.results.importers.origin import NOWHERE, FileOrigin
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import XmlElement, parse_xml, real_number, whole_number
-from rtrun.plan.limits import COUNT_MAX, CPUS_MAX
+from rtrun.kinds.limits import COUNT_MAX, CPUS_MAX
 from rtrun.results.importers.command_line import Command, read_command
 from rtrun.results.importers.counts import NO_ORDER, StatedSummary, Statistics, check_bins, check_statistics, histogram
 from rtrun.results.importers.histogram_file import Imported

@@ -11,8 +11,8 @@ from pydantic import Field
 from rtfiles import atomic
 from rtfiles.config import Config, parse, read_json
 from rtfiles.errors import UsageError
-from rtrun.analysis.histogram import Int64s
-from rtrun.plan.limits import TIME_MAX_NS, PeriodNs
+from rtrun.kinds.limits import TIME_MAX_NS, PeriodNs
+from rtrun.kinds.values import Int64s
 from rtrun.results.importers.origin import NOWHERE, FileOrigin
 from rtrun.results.samples import read_rows
 

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError
 
 from rtfiles.config import Config
 from rtfiles.untrusted import whole_number
-from rtrun.plan.limits import Count, PeriodUs, QuotaUs, RtRuntimeUs, TimeNs
+from rtrun.kinds.limits import Count, PeriodUs, QuotaUs, RtRuntimeUs, TimeNs
 from rtrun.targets.deploy import ON_TARGET
 
 SCRIPT = ON_TARGET / "cgroups.sh"

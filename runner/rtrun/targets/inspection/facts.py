@@ -13,7 +13,7 @@ from rtfiles.config import Config
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
 from rtfiles.untrusted import JSON_BYTES_MAX, parse_json, read_text, real_number, whole_number
-from rtrun.plan.limits import (
+from rtrun.kinds.limits import (
     COUNT_MAX,
     CPUS_MAX,
     SIZE_MAX_BYTES,

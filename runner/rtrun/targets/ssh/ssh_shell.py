@@ -12,7 +12,7 @@ import paramiko
 
 from rtfiles.errors import InfrastructureError
 from rtfiles.untrusted import whole_number
-from rtrun.plan.limits import PID_MAX
+from rtrun.kinds.limits import PID_MAX
 from rtrun.targets import groups
 from rtrun.targets.address import Address
 from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError

@@ -2,7 +2,7 @@
 
 from rtfiles.config import Config
 from rtfiles.output import counted
-from rtrun.plan.limits import Count, RateHz
+from rtrun.kinds.limits import Count, RateHz
 
 # A publisher that is further from the rate that was asked for measured something else.
 OFF_MAX = 0.01

@@ -1,16 +1,14 @@
-"""What a program of a suite writes: the types of its json, and the values of a series of its samples."""
+"""What a program of a suite writes: the types of its json."""
 
-from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field
 
 from rtfiles.config import Config
-from rtrun.analysis.histogram import Int64s
-from rtrun.kinds.rate import Rate
-from rtrun.plan.limits import ClockStepNs, Count, Cpu, CpuDmaLatencyUs, CpuTimeNs, MeanNs, Pid, Priority, TimeNs
+from rtrun.kinds.limits import ClockStepNs, Count, Cpu, CpuDmaLatencyUs, CpuTimeNs, MeanNs, Pid, Priority, TimeNs
+from rtrun.kinds.rows import Stated
 from rtrun.plan.suites import Asked, Parameters
+from rtrun.results.rate import Rate
 
 # Each that is wrong is an error of its own.
 LIST_MAX = 20_000
@@ -167,6 +165,21 @@ class Record(ProgramHead):
     rate: Rate
     traces: Traces
 
+    @property
+    def stated(self) -> Stated:
+        """What its samples are checked against."""
+        counts = self.counts
+        return Stated(
+            asked=counts.asked,
+            measured=counts.measured,
+            not_fired=counts.not_fired,
+            missing=counts.missing,
+            out_of_order=counts.out_of_order,
+            skipped=self.rate.skipped,
+            is_complete=self.complete,
+            requested=self.requested,
+        )
+
 
 class SentCounts(Config):
     """How many messages were asked for, and sent."""
@@ -213,21 +226,3 @@ class HostRecord(ProgramHead):
     measured_ns: TimeNs
     executors: Annotated[list[ExecutorRecord], _LISTED]
     nodes: Annotated[list[HostedNodeRecord], _LISTED]
-
-
-def no_values() -> Int64s:
-    return np.empty(0, np.int64)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class IndexedValues:
-    """Values in nanoseconds and the index of each measurement, both of shape (n,).
-
-    `absent`, int64 (a,), ascending, are the loops without a value, counted with them: what did not fire, is missing or
-    was skipped. `undecidable` says why no answer can rest on the values.
-    """
-
-    values_ns: Int64s
-    index: Int64s
-    absent: Int64s = field(default_factory=no_values)
-    undecidable: str = ""

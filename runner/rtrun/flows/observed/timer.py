@@ -1,0 +1,89 @@
+"""Calls of a timer, and how late they were where its clock and its period are known."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.observed.source import Growth, Identity, cuts_of, segments, silent_ns
+from rtrun.flows.programs import numbered
+from rtrun.flows.timers import TimerLog, known_period_ns, lateness
+from rtrun.flows.values import Stream
+from rtrun.kinds.messages import NOT_SEEN_NS
+from rtrun.kinds.timer import STREAM as STREAM
+from rtrun.kinds.values import no_values
+from rtrun.probes.hits import HITS_CLOCK
+from rtrun.results.columns import collected
+
+# Calls of a timer whose lateness is not known before its clock is read.
+_WAITING_MAX = 200_000
+
+
+def sources(observed: FlowAccumulator) -> Iterator["TimerSource"]:
+    return (TimerSource(log, observed) for log in observed.calls.timers.values())
+
+
+@dataclass(frozen=True, slots=True)
+class TimerSource:
+    record: TimerLog
+    observed: FlowAccumulator
+
+    @property
+    def name(self) -> str:
+        return self.record.label
+
+    @property
+    def of(self) -> str:
+        return numbered(self.record.name, self.record.number)
+
+    @property
+    def identity(self) -> Identity:
+        identity: Identity = {"node": self.name, "timer": self.of}
+        return {**identity, "clock": self.record.clock} if self.record.clock else identity
+
+    def stream(self) -> Stream:
+        log, store = self.record, self.observed.state.store
+        late = lateness(log, self.observed.offsets, store)
+        counts = {"calls": len(log.rows)}
+        if late.at_ns.size:
+            cuts = late.cuts
+            columns = {"timestamp_ns": late.at_ns, "expected_ns": late.expected_ns, "real_ns": late.real_ns}
+            counts["skipped"] = late.skipped
+        else:
+            cuts = cuts_of(log.cuts, store)
+            (at_ns,) = collected(store.folder, ((piece[:, 0],) for piece in log.rows.pieces()), 1)
+            columns = {"timestamp_ns": at_ns}
+        rows = columns["timestamp_ns"].size
+        period_ns = known_period_ns(log)
+        # A call was due a period after the last one.
+        overdue_ns = 0 if period_ns is None else max(0, silent_ns(log.rows, log, self.observed) - period_ns)
+        return Stream(
+            kind=STREAM,
+            identity=self.identity,
+            columns=columns | {"segment": segments(cuts, rows, store)},
+            counts=counts | {"measured": rows},
+            period_ns=period_ns,
+            cuts=cuts,
+            remarks=late.why_not,
+            open_ns=overdue_ns,
+            source=log,
+        )
+
+    def since(self, row: int) -> Growth:
+        log, offsets = self.record, self.observed.offsets
+        rows = len(log.rows)
+        begin = max(row, rows - _WAITING_MAX)
+        at, expected = log.rows.read(begin).T
+        if log.clock is None or log.period_ns is None:
+            return Growth(rows, no_values(), no_values(), rows)
+        settled = rows
+        known = expected != NOT_SEEN_NS
+        if log.clock != HITS_CLOCK:
+            # How the clock stood is known up to the time at which it was last read.
+            last_ns = offsets.last_ns(log.clock)
+            size = 0 if last_ns is None else int(np.searchsorted(at, last_ns, side="right"))
+            at, expected, known, settled = at[:size], expected[:size], known[:size], begin + size
+        offset, is_known, _ = offsets.read(log.clock, at)
+        known = known & is_known
+        return Growth(rows, (at + offset - expected)[known], at[known], settled)

@@ -1,0 +1,22 @@
+"""Responses: how long after it was due a node of a topology had done its work."""
+
+from functools import partial
+
+from rtrun.kinds.kind import MeasurementKind, StreamKind
+from rtrun.kinds.spans import series, times
+
+STREAM = StreamKind(
+    word="response",
+    suite="observed_responses",
+    named_by="node",
+    words=("of {node}",),
+    at="end_ns",
+    is_of_topologies=True,
+)
+KIND = MeasurementKind(
+    series=partial(series, "response"),
+    called={"response": "response"},
+    times=times,
+    subject="of the node",
+    stream=STREAM,
+)
