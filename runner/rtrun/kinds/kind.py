@@ -106,7 +106,7 @@ class MeasurementKind:
 
     `logs` is the form of its logs of 2014; None: there were none. `stream` is how it is observed; None: it is not.
     `has_steps`: a value is on its way between two programs, and the steps of that can be told (causes/steps.py).
-    `is_of_callbacks`: what was measured is a callback itself, none of those before it is a reason.
+    `is_of_callbacks`: what was measured is a callback itself, and no callback before it is a reason.
     """
 
     series: Callable[[Columns, Stated, Path], dict[str, IndexedValues]]

@@ -67,7 +67,7 @@ class Board:
             names = [name for name in self.trials if name.split("-r")[0] == group.name]
             trials = [self._place(name) for name in names]
             if names:
-                question = Question(probability=1e-3, boots=self.wanted.boots)
+                question = Question(probability=1e-3, boots=self.wanted.boots, bursts=self.wanted.bursts)
                 period_ns = group.period_ns if self.tells_period else None
                 verdict = judge(Account(trials, emulated=self.emulated, period_ns=period_ns), question)
                 standings.append(
