@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from rtrun.analysis.intervals import clopper_pearson
+from rtrun.analysis.chance.intervals import clopper_pearson
 
 END = "<!-- to here -->"
 

@@ -27,7 +27,7 @@ NO_LIMITS = {
         "rtrun.validity.outcome.LISTED_MAX",
     },
     "what is printed or computed at most": {
-        "rtrun.analysis.recurrence._COUNT_MAX",
+        "rtrun.analysis.order.recurrence._COUNT_MAX",
         "rtrun.evidence.duplicates._PLACES_MAX",
         "rtfiles.output.WIDTH_MAX",
         "rtrun.archive.alarms.REASON_MAX",

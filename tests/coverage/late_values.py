@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from rtrun.analysis.recurrence import counts_tried, find_recurrence
+from rtrun.analysis.order.recurrence import counts_tried, find_recurrence
 
 Floats = NDArray[np.float64]
 Rng = np.random.Generator

@@ -21,21 +21,24 @@ from processes import DEADLINE_NS, Int64s, Lengths, Rng
 from report.campaigns import cyclic_rows
 from written import write_output
 
-from rtrun.analysis import comparison, constancy, deadline, layers, recurrence, startup
+from rtrun.analysis import deadline
 from rtrun.analysis.account import Account
-from rtrun.analysis.blocks import Blocks, cut
-from rtrun.analysis.comparison import ComparisonAnswer, compare, correct
-from rtrun.analysis.constancy import Boot, Constancy, examine_constancy, join_boots
+from rtrun.analysis.chance.distributions import Floats
+from rtrun.analysis.chance.further import proves, smallest
+from rtrun.analysis.chance.intervals import anytime_upper, clopper_pearson
+from rtrun.analysis.comparison import differences as comparison
+from rtrun.analysis.comparison import layers
+from rtrun.analysis.comparison.differences import ComparisonAnswer, compare, correct
+from rtrun.analysis.comparison.layers import attribute
 from rtrun.analysis.deadline import Answer, Verdict, judge
-from rtrun.analysis.distributions import Floats
-from rtrun.analysis.episodes import FoundEpisodes
-from rtrun.analysis.further import proves, smallest
+from rtrun.analysis.dependence.blocks import Blocks, cut
+from rtrun.analysis.dependence.episodes import FoundEpisodes
+from rtrun.analysis.dependence.units import CountedRun
 from rtrun.analysis.histogram import from_samples
-from rtrun.analysis.intervals import anytime_upper, clopper_pearson
-from rtrun.analysis.layers import attribute
-from rtrun.analysis.stationarity import Change
+from rtrun.analysis.order import constancy, recurrence, startup
+from rtrun.analysis.order.constancy import Boot, Constancy, examine_constancy, join_boots
+from rtrun.analysis.order.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
-from rtrun.analysis.units import CountedRun
 from rtrun.judgement import study as studies
 from rtrun.judgement.study import study
 from rtrun.plan import question as questions
@@ -304,7 +307,7 @@ def proven_at_any_look_in_boots(spread: float, rng: Rng) -> bool:
 @cache
 def _proofs(probability: float, n: int) -> Int64s:
     """From how many measurements on 0, 1, 2, ... 199 misses prove P(miss) below the target, (k,), up to n."""
-    question, proofs = Question(probability=probability), [1]
+    question, proofs = Question(probability=probability, bursts=1), [1]
     while proofs[-1] <= n and len(proofs) <= 200:
         proofs.append(smallest(lambda total: proves(len(proofs) - 1, total, 1.0, question), proofs[-1]) or n + 1)
     return np.array(proofs[1:], np.int64)
@@ -313,7 +316,7 @@ def _proofs(probability: float, n: int) -> Int64s:
 def proven_after_a_change_of_goal(rng: Rng) -> bool:
     """PROVEN wrongly at any look, whoever may change the goal to any of fourteen, each at its true P(miss)."""
     n = 60_000
-    goals = [Question(deadline_ns=1000 + number, probability=0.5 / 1.6**number) for number in range(14)]
+    goals = [Question(deadline_ns=1000 + number, probability=0.5 / 1.6**number, bursts=1) for number in range(14)]
     values = rng.random(n)
     for goal in goals:
         if questions.may_follow(goals[7], goal):

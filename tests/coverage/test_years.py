@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rtrun.analysis import history
-from rtrun.analysis.change_points import find_changes, means_of_units
+from rtrun.analysis.comparison import history
+from rtrun.analysis.order.change_points import find_changes, means_of_units
 
 # At the end: nothing here may stand in for a module of another folder.
 sys.path.append(str(Path(__file__).parent))

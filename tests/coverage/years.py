@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docs_table import share_text, write_rows
-from rtrun.analysis import history
-from rtrun.analysis.change_points import find_changes, means_of_units
+from rtrun.analysis.comparison import history
+from rtrun.analysis.order.change_points import find_changes, means_of_units
 
 DOCS = Path(__file__).parents[2] / "docs" / "archive.md"
 BEGIN = "<!-- make coverage writes from here -->"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
-from rtrun.analysis.startup import LeftOut
+from rtrun.analysis.order.startup import LeftOut
 from rtrun.analysis.trials import Trials
 
 HOURS = 24  # of a day

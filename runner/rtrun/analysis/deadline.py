@@ -9,23 +9,23 @@ from typing import Literal
 import numpy as np
 
 from rtrun.analysis.account import HOURS, Account
-from rtrun.analysis.constancy import examine_constancy, find_climbs, join_boots
-from rtrun.analysis.dependence import Events, cluster_effect, design_effect, effect_of_few, pool
-from rtrun.analysis.distributions import chi_squared_above, normal_quantile, student_quantile
-from rtrun.analysis.episodes import Episodes, per_hour
-from rtrun.analysis.further import (
+from rtrun.analysis.chance.distributions import chi_squared_above, normal_quantile, student_quantile
+from rtrun.analysis.chance.further import (
     chance_of_no_miss,
     likely_further,
     longest_burst,
     missing_without_miss,
     smallest,
 )
-from rtrun.analysis.intervals import anytime_lower, anytime_upper, of_few
-from rtrun.analysis.startup import LeftOut
-from rtrun.analysis.stationarity import SIGNIFICANT, Change
-from rtrun.analysis.trends import Climb
+from rtrun.analysis.chance.intervals import anytime_lower, anytime_upper, of_few
+from rtrun.analysis.dependence.design_effect import Events, cluster_effect, design_effect, effect_of_few, pool
+from rtrun.analysis.dependence.episodes import Episodes, per_hour
+from rtrun.analysis.dependence.units import Cluster, CountedRun, boots_of, count_alike, sums
+from rtrun.analysis.order.constancy import examine_constancy, find_climbs, join_boots
+from rtrun.analysis.order.startup import LeftOut
+from rtrun.analysis.order.stationarity import SIGNIFICANT, Change
+from rtrun.analysis.order.trends import Climb
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials
-from rtrun.analysis.units import Cluster, CountedRun, boots_of, count_alike, sums
 from rtrun.plan.question import NONE_TOLERATED, Bursts, Question, bursts_asked, unlike_share
 
 # Lengths of bursts for which a proof says how much longer it would have to measure.

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtrun.analysis.dependence import Events, locate
-from rtrun.analysis.episodes import FoundEpisodes, find_episodes
+from rtrun.analysis.dependence.design_effect import Events, locate
+from rtrun.analysis.dependence.episodes import FoundEpisodes, find_episodes
 from rtrun.analysis.histogram import Histogram
 from rtrun.kinds.values import Int64s
 from rtrun.plan.question import NONE_TOLERATED, Tolerance

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import get_args
 
 from rtfiles.quantities import time
-from rtrun.analysis.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
+from rtrun.analysis.comparison.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
 from rtrun.archive.adding import add_results, find_runs
 from rtrun.archive.courses import Course, Figure, courses
 from rtrun.archive.notes import AcceptNote

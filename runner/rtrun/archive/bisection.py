@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
 
-from rtrun.analysis.change_points import ChangePoint, find_changes
+from rtrun.analysis.order.change_points import ChangePoint, find_changes
 from rtrun.archive.courses import Course, Figure
 
 

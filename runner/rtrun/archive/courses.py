@@ -11,7 +11,7 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import parse_json
-from rtrun.analysis.change_points import Floats, means_of_units
+from rtrun.analysis.order.change_points import Floats, means_of_units
 from rtrun.archive.notes import AcceptNote, KnownNote
 from rtrun.archive.queries import Point, figures
 from rtrun.archive.runs import Archive, RunRow

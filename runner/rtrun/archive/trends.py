@@ -7,8 +7,8 @@ from itertools import groupby
 from typing import Any, get_args
 
 from rtfiles.quantities import signed, time
-from rtrun.analysis.change_points import ChangePoint, find_changes
-from rtrun.analysis.effects import examine_effect
+from rtrun.analysis.comparison.effects import examine_effect
+from rtrun.analysis.order.change_points import ChangePoint, find_changes
 from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, readings_of
 from rtrun.archive.notes import AcceptNote, KnownNote
 

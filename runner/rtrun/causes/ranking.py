@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from rtrun.analysis.intervals import chance_of_so_many
+from rtrun.analysis.chance.intervals import chance_of_so_many
 from rtrun.causes.outliers import Explained
 from rtrun.causes.parts import NAMELESS, Cause, Kind, Part
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrun.analysis.recurrence import Recurrence, counts_tried, find_recurrence
+from rtrun.analysis.order.recurrence import Recurrence, counts_tried, find_recurrence
 from rtrun.causes.measured import read_measured
 from rtrun.kinds.kind import Measure
 from rtrun.kinds.values import Int64s

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from rtfiles.config import Config, read_json
-from rtrun.analysis.coincidence import LEAST_INTERVALS, Floats, find_coincidences
+from rtrun.analysis.order.coincidence import LEAST_INTERVALS, Floats, find_coincidences
 from rtrun.causes.measured import Measured, read_measured
 from rtrun.kinds.kind import Measure
 from rtrun.kinds.values import Int64s

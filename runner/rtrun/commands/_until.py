@@ -6,7 +6,7 @@ from pathlib import Path
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.output import print_line, print_note
 from rtfiles.quantities import duration
-from rtrun.analysis.further import plan_groups
+from rtrun.analysis.chance.further import plan_groups
 from rtrun.commands._boards import TargetFile, measure_on
 from rtrun.commands.verdict import print_answers
 from rtrun.execution import campaign_runner

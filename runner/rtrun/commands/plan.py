@@ -121,8 +121,8 @@ def _times(runs: "Sequence[Run]", restarts: int) -> dict[str, float]:
 
 def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Iterator[_Forecast]:
     """How long the goal takes in the best case, and at a rate of misses where one is given."""
+    from rtrun.analysis.chance.further import plan_groups
     from rtrun.analysis.deadline import Answer
-    from rtrun.analysis.further import plan_groups
     from rtrun.plan.rounds import outlook
 
     boot_rounds = _rounds_of_boot(goal, groups)
@@ -150,7 +150,7 @@ def _lengths_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> list[int]:
 
 def _rounds_of_boot(goal: "Goal", groups: "Sequence[Run]") -> int | None:
     """How many rounds each boot has if no measurement misses; None where no number of measurements is a proof."""
-    from rtrun.analysis.further import plan_groups
+    from rtrun.analysis.chance.further import plan_groups
     from rtrun.plan.rounds import rounds_of_boot
 
     best = plan_groups(goal.question, _periods_ns(groups))
@@ -169,7 +169,7 @@ def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlo
 
 def _slowest_load_s(goal: "Goal", groups: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> float | None:
     """How slowly a load may come and go to be judged by the runs of the best case, in seconds; None without one."""
-    from rtrun.analysis.constancy import slowest_load
+    from rtrun.analysis.order.constancy import slowest_load
     from rtrun.plan.rounds import joined_s
 
     boot_rounds = _rounds_of_boot(goal, groups)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.comparison import Comparison, Ratio, compare, correct, ratio_of_misses
+from rtrun.analysis.comparison.differences import Comparison, Ratio, compare, correct, ratio_of_misses
 from rtrun.judgement.digest import pool_figures
 from rtrun.judgement.groups import Group
 from rtrun.judgement.sides import By, split

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.blocks import Blocks, cut, split_randomly
-from rtrun.analysis.extreme_values import Tail, tail_of
+from rtrun.analysis.dependence.blocks import Blocks, cut, split_randomly
 from rtrun.analysis.figures import PERCENTILES, Figures, rank
 from rtrun.analysis.histogram import Histogram, from_samples, merge
+from rtrun.analysis.order.startup import Head, head_of, split
 from rtrun.analysis.scale import Floats, Scale, scale_of
-from rtrun.analysis.startup import Head, head_of, split
+from rtrun.analysis.tails.extreme_values import Tail, tail_of
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.kinds.known import MAIN_2014
 from rtrun.kinds.values import Int64s

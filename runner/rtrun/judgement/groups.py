@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rtrun.analysis.account import Account
-from rtrun.analysis.blocks import Blocks, add_outputs
 from rtrun.analysis.deadline import Verdict
-from rtrun.analysis.extreme_values import Bound
+from rtrun.analysis.dependence.blocks import Blocks, add_outputs
 from rtrun.analysis.histogram import Histogram, merge
+from rtrun.analysis.tails.extreme_values import Bound
 from rtrun.judgement.digest import JudgedDigest
 from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import MAIN_ONLY_IN_2014

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rtrun.analysis.layers import INFLUENCE_QUANTILES, Attribution, attribute
+from rtrun.analysis.comparison.layers import INFLUENCE_QUANTILES, Attribution, attribute
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.kinds.known import STREAMS

@@ -7,7 +7,7 @@ measurement, or the baseline, that its own is on top of (`layer_below` of its ki
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rtrun.analysis.layers import Attribution, attribute
+from rtrun.analysis.comparison.layers import Attribution, attribute
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.kinds.known import KINDS

@@ -12,11 +12,11 @@ from rtfiles.errors import UsageError
 from rtfiles.output import showing_progress
 from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import Verdict, judge
-from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram
-from rtrun.analysis.startup import StartUp, find_startup, left_out
+from rtrun.analysis.order.startup import StartUp, find_startup, left_out
+from rtrun.analysis.tails.extreme_values import Bound
+from rtrun.analysis.tails.worst_case import worst_case
 from rtrun.analysis.trials import Trials
-from rtrun.analysis.worst_case import worst_case
 from rtrun.evidence.accounts import clock_step_ns, take_account
 from rtrun.evidence.attempts import LostAttempt, lost_attempts
 from rtrun.evidence.duplicates import copies_among, overlaps_among

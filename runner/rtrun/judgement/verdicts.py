@@ -7,7 +7,7 @@ from rtfiles.output import counted, listed, printable
 from rtfiles.quantities import duration, grouped, percent, time
 from rtrun.analysis.account import HOURS
 from rtrun.analysis.deadline import Answer, Unlike, Verdict
-from rtrun.analysis.trends import LEAST_UNITS, Climb
+from rtrun.analysis.order.trends import LEAST_UNITS, Climb
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
 from rtrun.plan.question import NONE_TOLERATED, STALL_NS, UNKNOWN_PERIOD_NS

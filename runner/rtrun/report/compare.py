@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from rtfiles.quantities import percent, signed, time
-from rtrun.analysis.comparison import Comparison, ComparisonAnswer, Ratio, Shift
+from rtrun.analysis.comparison.differences import Comparison, ComparisonAnswer, Ratio, Shift
 from rtrun.judgement.compare import Compared
 from rtrun.report.terminal import banner_of
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 from rtfiles.output import counted
 from rtfiles.quantities import grouped, time
-from rtrun.analysis.extreme_values import Bound
-from rtrun.analysis.worst_case import disagreement
+from rtrun.analysis.tails.extreme_values import Bound
+from rtrun.analysis.tails.worst_case import disagreement
 from rtrun.judgement.groups import Group
 from rtrun.judgement.influence import influences
 from rtrun.judgement.layers import LayerPair

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from rtfiles.output import counted
 from rtfiles.quantities import signed, time
-from rtrun.analysis.layers import INFLUENCE_QUANTILES, LATE, Added, figure_of
+from rtrun.analysis.comparison.layers import INFLUENCE_QUANTILES, LATE, Added, figure_of
 from rtrun.judgement.groups import Group
 from rtrun.judgement.influence import Influence, alone_of
 from rtrun.kinds.known import called

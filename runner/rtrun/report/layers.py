@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from rtfiles.output import counted
 from rtfiles.quantities import signed
-from rtrun.analysis.layers import LATE, QUANTILES, Added
+from rtrun.analysis.comparison.layers import LATE, QUANTILES, Added
 from rtrun.judgement.groups import Group
 from rtrun.judgement.layers import LayerPair, chains
 from rtrun.plan.middleware.description import NONE

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from rtfiles.output import counted, printable
 from rtfiles.quantities import duration, grouped
 from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.analysis.order.stationarity import Change
 from rtrun.analysis.standing import Standing
-from rtrun.analysis.stationarity import Change
 from rtrun.execution.goal import Progress
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import (

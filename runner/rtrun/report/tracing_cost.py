@@ -7,7 +7,7 @@ from itertools import groupby
 from rtfiles.errors import UsageError
 from rtfiles.output import counted, printable
 from rtfiles.quantities import signed, time
-from rtrun.analysis.comparison import ComparisonAnswer
+from rtrun.analysis.comparison.differences import ComparisonAnswer
 from rtrun.causes.measured import traced_series
 from rtrun.judgement.compare import Changed, compare_studies
 from rtrun.judgement.sides import names_of_sides, split

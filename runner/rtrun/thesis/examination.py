@@ -7,11 +7,11 @@ from enum import StrEnum
 import numpy as np
 
 from rtfiles.quantities import signed, time
-from rtrun.analysis.blocks import Blocks
-from rtrun.analysis.comparison import Comparison, ComparisonAnswer, Shift, compare
-from rtrun.analysis.effects import Effect, examine_effect, holm
-from rtrun.analysis.interleaving import is_interleaved
-from rtrun.analysis.layers import figure_of
+from rtrun.analysis.comparison.differences import Comparison, ComparisonAnswer, Shift, compare
+from rtrun.analysis.comparison.effects import Effect, examine_effect, holm
+from rtrun.analysis.comparison.layers import figure_of
+from rtrun.analysis.dependence.blocks import Blocks
+from rtrun.analysis.dependence.interleaving import is_interleaved
 from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study
 from rtrun.kinds.kind import MeasurementKind

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from rtfiles.quantities import signed, time
-from rtrun.analysis.comparison import ComparisonAnswer
-from rtrun.analysis.effects import holm
-from rtrun.analysis.intervals import clopper_pearson
-from rtrun.analysis.periods import burst_peaks, evenly_spread_p, find_period
+from rtrun.analysis.chance.intervals import clopper_pearson
+from rtrun.analysis.comparison.differences import ComparisonAnswer
+from rtrun.analysis.comparison.effects import holm
+from rtrun.analysis.order.periods import burst_peaks, evenly_spread_p, find_period
 from rtrun.judgement.digest import JudgedDigest
 from rtrun.judgement.groups import Group, slowest
 from rtrun.judgement.study import Study

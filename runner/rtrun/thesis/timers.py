@@ -4,8 +4,8 @@ import numpy as np
 
 from rtfiles.quantities import time
 from rtrun.analysis.account import Account
+from rtrun.analysis.chance.intervals import clopper_pearson
 from rtrun.analysis.deadline import judge
-from rtrun.analysis.intervals import clopper_pearson
 from rtrun.judgement.digest import Digest
 from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import genpareto, goodness_of_fit
 
-from rtrun.analysis.anderson_darling import forward_stop, p_value
-from rtrun.analysis.extreme_values import tail_of
-from rtrun.analysis.peaks import peaks_over_threshold
-from rtrun.analysis.tails import GPD, fit, sample_of
+from rtrun.analysis.tails.anderson_darling import forward_stop, p_value
+from rtrun.analysis.tails.extreme_values import tail_of
+from rtrun.analysis.tails.fits import GPD, fit, sample_of
+from rtrun.analysis.tails.peaks import peaks_over_threshold
 
 
 def p_of(excesses: np.ndarray, quantum_ns: int = 1) -> float:

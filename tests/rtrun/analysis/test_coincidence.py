@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rtrun.analysis.coincidence import ALPHA, LEAST_INTERVALS, find_coincidences
+from rtrun.analysis.order.coincidence import ALPHA, LEAST_INTERVALS, find_coincidences
 
 QUANTITIES = 10
 

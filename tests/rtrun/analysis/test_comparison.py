@@ -8,12 +8,12 @@ import pytest
 from scipy.signal import lfilter
 
 from rtrun.analysis.account import Account
-from rtrun.analysis.blocks import Blocks, add_outputs, cut, split_randomly
-from rtrun.analysis.comparison import ComparisonAnswer, compare, correct, ratio_of_misses
+from rtrun.analysis.comparison.differences import ComparisonAnswer, compare, correct, ratio_of_misses
+from rtrun.analysis.comparison.layers import LATE, attribute
 from rtrun.analysis.deadline import judge
+from rtrun.analysis.dependence.blocks import Blocks, add_outputs, cut, split_randomly
+from rtrun.analysis.dependence.interleaving import is_interleaved
 from rtrun.analysis.histogram import from_samples
-from rtrun.analysis.interleaving import is_interleaved
-from rtrun.analysis.layers import LATE, attribute
 from rtrun.analysis.trials import count_misses
 from rtrun.plan.question import Question
 

@@ -9,10 +9,10 @@ import pytest
 from scipy.ndimage import rank_filter
 
 from rtrun.analysis.account import Account
+from rtrun.analysis.chance.further import plan_measurements
+from rtrun.analysis.chance.intervals import anytime_interval
 from rtrun.analysis.deadline import Answer, Verdict, judge
-from rtrun.analysis.further import plan_measurements
 from rtrun.analysis.histogram import Histogram, from_samples
-from rtrun.analysis.intervals import anytime_interval
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.plan.question import Question, Tolerance
 

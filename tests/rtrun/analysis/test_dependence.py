@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rtrun.analysis.dependence import (
+from rtrun.analysis.dependence.design_effect import (
     chance_of_gaps,
     cluster_effect,
     design_effect,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import optimize, special, stats
 
-from rtrun.analysis import distributions
-from rtrun.analysis.search import crossing, lowest_point
+from rtrun.analysis.chance import distributions
+from rtrun.analysis.chance.search import crossing, lowest_point
 
 N = 300
 # scipy has fewer digits in places: of the chi-squared below 1e-6 for a million degrees of freedom eight, where ours has

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_ind
 
-from rtrun.analysis.effects import examine_effect, holm
-from rtrun.analysis.periods import burst_peaks, find_period
+from rtrun.analysis.comparison.effects import examine_effect, holm
+from rtrun.analysis.order.periods import burst_peaks, find_period
 
 
 def test_the_chances_are_those_of_welch() -> None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rtrun.analysis.account import Account
+from rtrun.analysis.chance.intervals import anytime_upper
 from rtrun.analysis.deadline import Answer, Verdict, judge
-from rtrun.analysis.episodes import find_episodes, gap_loops
-from rtrun.analysis.intervals import anytime_upper
+from rtrun.analysis.dependence.episodes import find_episodes, gap_loops
 from rtrun.analysis.trials import Trials, count_misses
 from rtrun.plan.question import Question, read_tolerance
 

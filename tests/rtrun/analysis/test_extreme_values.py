@@ -8,9 +8,9 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter
 from scipy.stats import genextreme, genpareto, norm
 
-from rtrun.analysis.extreme_values import Bound, tail_of
-from rtrun.analysis.tails import GEV, GPD, fit, negative_log_likelihood, profile_interval, sample_of
-from rtrun.analysis.worst_case import disagreement, exponential_tail, worst_case
+from rtrun.analysis.tails.extreme_values import Bound, tail_of
+from rtrun.analysis.tails.fits import GEV, GPD, fit, negative_log_likelihood, profile_interval, sample_of
+from rtrun.analysis.tails.worst_case import disagreement, exponential_tail, worst_case
 
 N = 200_000
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import beta
 
-from rtrun.analysis.intervals import anytime_interval, clopper_pearson
+from rtrun.analysis.chance.intervals import anytime_interval, clopper_pearson
 
 
 @pytest.mark.parametrize(("k", "n"), [(0, 10), (1, 94_000_000), (3, 50), (50, 50), (7, 1000)])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rtrun.analysis.order import find_common_order, find_order
+from rtrun.analysis.order.units_in_order import find_common_order, find_order
 
 
 def shares_seen(draw, significant: float = 0.05, draws: int = 300) -> float:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rtrun.analysis.account import Account
+from rtrun.analysis.chance.further import plan_measurements
+from rtrun.analysis.chance.intervals import anytime_interval
 from rtrun.analysis.deadline import Answer, judge
-from rtrun.analysis.further import plan_measurements
-from rtrun.analysis.intervals import anytime_interval
 from rtrun.analysis.trials import count_misses
 from rtrun.plan.question import Question
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, rankdata, spearmanr
 
-from rtrun.analysis.periods import evenly_spread_p
-from rtrun.analysis.ranks import rank_correlation, ranks
+from rtrun.analysis.chance.ranks import rank_correlation, ranks
+from rtrun.analysis.order.periods import evenly_spread_p
 
 
 @pytest.mark.parametrize("different", [2, 5, 1000])

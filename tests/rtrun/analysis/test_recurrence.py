@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rtrun.analysis.recurrence import counts_tried, find_recurrence
+from rtrun.analysis.order.recurrence import counts_tried, find_recurrence
 
 S = 10**9
 LOOP = 10**6  # 1 kHz

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rtrun.analysis.startup import MOST, find_startup, head_of, left_out, split
+from rtrun.analysis.order.startup import MOST, find_startup, head_of, left_out, split
 
 DEADLINE_NS = 400_000
 NONE = np.empty(0, np.int64)

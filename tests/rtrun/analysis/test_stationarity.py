@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rtrun.analysis.stationarity import SIGNIFICANT, find_change, test_of_ends, test_of_parts
+from rtrun.analysis.order.stationarity import SIGNIFICANT, find_change, test_of_ends, test_of_parts
 
 # pytest would collect them.
 ends, parts = test_of_ends, test_of_parts

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rtrun.analysis.account import Account
-from rtrun.analysis.constancy import examine_constancy, join_boots
 from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.histogram import from_samples
-from rtrun.analysis.trends import find_climb, levels_ns
+from rtrun.analysis.order.constancy import examine_constancy, join_boots
+from rtrun.analysis.order.trends import find_climb, levels_ns
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.plan.question import Question, read_tolerance
 

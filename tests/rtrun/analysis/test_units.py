@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rtrun.analysis.dependence.units import boots_of, count_alike, sums
 from rtrun.analysis.trials import Trials, count_misses
-from rtrun.analysis.units import boots_of, count_alike, sums
 
 
 def run(n: int, misses: int, boot: str, board: str = "", name: str = "") -> Trials:

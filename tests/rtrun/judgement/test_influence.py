@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from written import write_output, write_record
 
-from rtrun.analysis.layers import LATE
+from rtrun.analysis.comparison.layers import LATE
 from rtrun.judgement.influence import influences
 from rtrun.judgement.study import study
 from rtrun.plan.question import Question

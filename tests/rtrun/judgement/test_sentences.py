@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rtrun.analysis.account import Account
-from rtrun.analysis.comparison import Ratio
+from rtrun.analysis.comparison.differences import Ratio
 from rtrun.analysis.deadline import judge
-from rtrun.analysis.episodes import find_episodes
-from rtrun.analysis.stationarity import Change
+from rtrun.analysis.dependence.episodes import find_episodes
+from rtrun.analysis.order.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses
 from rtrun.judgement.verdicts import scope_in_short, sentences
 from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance, boots_for, read_tolerance, unlike_share

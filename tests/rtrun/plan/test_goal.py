@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from rtfiles.errors import UsageError
-from rtrun.analysis.further import plan_measurements
+from rtrun.analysis.chance.further import plan_measurements
 from rtrun.cli import main
 from rtrun.plan.campaign import read_campaign
 from rtrun.plan.quantities import read_time_ns

@@ -9,8 +9,8 @@ from rich.console import Console
 
 from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import Verdict, judge
+from rtrun.analysis.order.stationarity import Change
 from rtrun.analysis.standing import Standing
-from rtrun.analysis.stationarity import Change
 from rtrun.analysis.trials import count_misses
 from rtrun.execution.goal import Progress
 from rtrun.plan.campaign import Campaign, plan

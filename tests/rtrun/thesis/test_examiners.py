@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from report.campaigns import NOT_FIRED, cyclic_run, latencies, message_run, oneshot_run
 
-from rtrun.analysis.comparison import ComparisonAnswer
+from rtrun.analysis.comparison.differences import ComparisonAnswer
 from rtrun.judgement.study import study
 from rtrun.plan.question import Question
 from rtrun.results.importers.adopt import adopt

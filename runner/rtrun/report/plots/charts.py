@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from rtfiles.quantities import grouped, time
-from rtrun.analysis.extreme_values import Bound
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.scale import Division, Floats, Scale, scale_of
+from rtrun.analysis.tails.extreme_values import Bound
 from rtrun.judgement.digest import Digest, JudgedDigest
 from rtrun.judgement.groups import slowest
 from rtrun.report.plots import axes
@@ -144,7 +144,7 @@ def _thin(places: Any, most: int) -> Any:
 
 
 def _tail(bound: Bound, scale: Scale) -> list[Mark]:
-    from rtrun.analysis.tails import GPD
+    from rtrun.analysis.tails.fits import GPD
 
     assert bound.rate is not None and bound.shape is not None and bound.scale_ns is not None
     assert bound.high_ns is not None

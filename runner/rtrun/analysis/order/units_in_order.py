@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from rtrun.analysis.distributions import Floats
-from rtrun.analysis.ranks import ranks
+from rtrun.analysis.chance.distributions import Floats
+from rtrun.analysis.chance.ranks import ranks
 
 SEED = 20140715
 _PERMUTATIONS = 999

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtrun.analysis import anderson_darling, tails
-from rtrun.analysis.extreme_values import (
+from rtrun.analysis.tails import anderson_darling
+from rtrun.analysis.tails import fits as tails
+from rtrun.analysis.tails.extreme_values import (
     FIT_BELOW,
     LEAST_PEAKS,
     Assumption,

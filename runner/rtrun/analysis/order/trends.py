@@ -10,9 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from rtrun.analysis.distributions import Floats, student_quantile
-from rtrun.analysis.order import find_common_order, find_order, signs_looked_at
-from rtrun.analysis.stationarity import (
+from rtrun.analysis.chance.distributions import Floats, student_quantile
+from rtrun.analysis.order.stationarity import (
     PIECES,
     SIGNIFICANT,
     SIGNIFICANT_OF_MISSES,
@@ -20,6 +19,7 @@ from rtrun.analysis.stationarity import (
     beyond_even,
     count_until,
 )
+from rtrun.analysis.order.units_in_order import find_common_order, find_order, signs_looked_at
 from rtrun.analysis.trials import Trials
 from rtrun.kinds.values import Int64s
 

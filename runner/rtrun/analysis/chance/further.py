@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtrun.analysis.distributions import beta_above, beta_below, poisson_quantile
-from rtrun.analysis.intervals import anytime_lower, anytime_upper, is_upper_below, of_few
-from rtrun.analysis.search import where_one
+from rtrun.analysis.chance.distributions import beta_above, beta_below, poisson_quantile
+from rtrun.analysis.chance.intervals import anytime_lower, anytime_upper, is_upper_below, of_few
+from rtrun.analysis.chance.search import where_one
 from rtrun.plan.question import Question, bursts_asked
 
 # Beyond this a number of measurements is no plan: at 1 kHz it is 30 000 years.

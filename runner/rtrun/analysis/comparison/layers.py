@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.blocks import Blocks
-from rtrun.analysis.distributions import student_quantile
-from rtrun.analysis.interleaving import is_interleaved, seconds
+from rtrun.analysis.chance.distributions import student_quantile
+from rtrun.analysis.dependence.blocks import Blocks
+from rtrun.analysis.dependence.interleaving import is_interleaved, seconds
 
 Floats = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtrun.analysis.distributions import chi_squared_above
-from rtrun.analysis.tails import GPD, Float64s, Parameters
+from rtrun.analysis.chance.distributions import chi_squared_above
+from rtrun.analysis.tails.fits import GPD, Float64s, Parameters
 from rtrun.kinds.values import Int64s
 
 _SEED = 20140715

@@ -3,8 +3,8 @@
 import math
 from collections.abc import Sequence
 
-from rtrun.analysis.distributions import chi_squared_exceeded
-from rtrun.analysis.extreme_values import (
+from rtrun.analysis.chance.distributions import chi_squared_exceeded
+from rtrun.analysis.tails.extreme_values import (
     Assumption,
     Bound,
     Tail,
@@ -16,7 +16,7 @@ from rtrun.analysis.extreme_values import (
     stays_the_same,
     too_far,
 )
-from rtrun.analysis.peaks import peaks_over_threshold
+from rtrun.analysis.tails.peaks import peaks_over_threshold
 
 # Fewer excesses would not show that they vary more: a heavy tail would pass for an exponential one.
 _LEAST_PEAKS = 500

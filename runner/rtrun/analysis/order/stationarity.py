@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtrun.analysis.distributions import Floats, binomial_above, chi_squared_above
-from rtrun.analysis.order import find_order
+from rtrun.analysis.chance.distributions import Floats, binomial_above, chi_squared_above
+from rtrun.analysis.order.units_in_order import find_order
 from rtrun.kinds.values import Int64s
 
 # Below this chance something counts as a change within runs. Few misses tell little, so for them it may be higher.

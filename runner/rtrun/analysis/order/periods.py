@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.distributions import chi_squared_above, smirnov_above
+from rtrun.analysis.chance.distributions import chi_squared_above, smirnov_above
 from rtrun.kinds.values import Int64s
 
 

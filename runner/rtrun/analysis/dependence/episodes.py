@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtrun.analysis.dependence import Events, locate
+from rtrun.analysis.dependence.design_effect import Events, locate
 from rtrun.kinds.values import Int64s
 from rtrun.plan.question import STALL_NS
 

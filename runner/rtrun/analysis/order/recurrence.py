@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.distributions import binomial_above
+from rtrun.analysis.chance.distributions import binomial_above
 from rtrun.kinds.values import Int64s
 
 ALPHA = 0.002

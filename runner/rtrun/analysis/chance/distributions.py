@@ -12,7 +12,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.search import where_one
+from rtrun.analysis.chance.search import where_one
 
 Floats = NDArray[np.float64]
 

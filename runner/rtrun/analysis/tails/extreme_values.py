@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtfiles.quantities import time
-from rtrun.analysis import tails
-from rtrun.analysis.dependence import burst_starts, extremal_index
-from rtrun.analysis.distributions import chi_squared_above
-from rtrun.analysis.ranks import rank_correlation
+from rtrun.analysis.chance.distributions import chi_squared_above
+from rtrun.analysis.chance.ranks import rank_correlation
+from rtrun.analysis.dependence.design_effect import burst_starts, extremal_index
+from rtrun.analysis.tails import fits as tails
 from rtrun.kinds.values import Int64s
 
 _KEPT = 20_000

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.distributions import chi_squared_above, chi_squared_exceeded
-from rtrun.analysis.search import crossing, lowest_point
+from rtrun.analysis.chance.distributions import chi_squared_above, chi_squared_exceeded
+from rtrun.analysis.chance.search import crossing, lowest_point
 from rtrun.kinds.values import Int64s
 
 Float64s = NDArray[np.float64]

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.distributions import normal_quantiles, student_quantile
-from rtrun.analysis.ranks import ranks
-from rtrun.analysis.welch import standard_error
+from rtrun.analysis.chance.distributions import normal_quantiles, student_quantile
+from rtrun.analysis.chance.ranks import ranks
+from rtrun.analysis.chance.welch import standard_error
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.distributions import normal_quantiles
+from rtrun.analysis.chance.distributions import normal_quantiles
 
 ALPHA = 0.01
 # The lowest p-value that n intervals allow is 1 / n.

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtfiles.quantities import grouped
-from rtrun.analysis.dependence import design_effect, effect_of_few, pool
-from rtrun.analysis.intervals import chance_of_so_many
-from rtrun.analysis.stationarity import (
+from rtrun.analysis.chance.intervals import chance_of_so_many
+from rtrun.analysis.dependence.design_effect import design_effect, effect_of_few, pool
+from rtrun.analysis.order.stationarity import (
     SIGNIFICANT,
     SIGNIFICANT_OF_MISSES,
     Change,
@@ -21,7 +21,7 @@ from rtrun.analysis.stationarity import (
     find_visits,
     test_of_order,
 )
-from rtrun.analysis.trends import (
+from rtrun.analysis.order.trends import (
     Climb,
     Unit,
     changes_between,

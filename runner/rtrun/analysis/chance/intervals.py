@@ -2,7 +2,7 @@
 
 import math
 
-from rtrun.analysis.distributions import beta_above, beta_below, beta_exceeded, beta_quantile
+from rtrun.analysis.chance.distributions import beta_above, beta_below, beta_exceeded, beta_quantile
 
 # Boots.
 FEW = 9

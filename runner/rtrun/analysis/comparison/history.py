@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtrun.analysis.change_points import Floats, levels
-from rtrun.analysis.dependence import cluster_effect
-from rtrun.analysis.distributions import beta_below, gamma_below, normal_quantile, student_quantile
+from rtrun.analysis.chance.distributions import beta_below, gamma_below, normal_quantile, student_quantile
+from rtrun.analysis.dependence.design_effect import cluster_effect
+from rtrun.analysis.order.change_points import Floats, levels
 
 Boots = Sequence[tuple[int, int]]
 

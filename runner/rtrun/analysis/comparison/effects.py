@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.distributions import student_below
-from rtrun.analysis.welch import standard_error
+from rtrun.analysis.chance.distributions import student_below
+from rtrun.analysis.chance.welch import standard_error
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

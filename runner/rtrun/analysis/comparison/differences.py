@@ -8,12 +8,12 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.blocks import Blocks, align
+from rtrun.analysis.chance.distributions import normal_quantile, student_quantile
+from rtrun.analysis.chance.intervals import clopper_pearson
+from rtrun.analysis.comparison.effects import holm
 from rtrun.analysis.deadline import Verdict
-from rtrun.analysis.distributions import normal_quantile, student_quantile
-from rtrun.analysis.effects import holm
-from rtrun.analysis.interleaving import is_interleaved
-from rtrun.analysis.intervals import clopper_pearson
+from rtrun.analysis.dependence.blocks import Blocks, align
+from rtrun.analysis.dependence.interleaving import is_interleaved
 from rtrun.kinds.values import Int64s
 
 ROUNDS = 999

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtrun.analysis.distributions import student_below
+from rtrun.analysis.chance.distributions import student_below
 
 
 def ranks(values: ArrayLike) -> NDArray[np.float64]:

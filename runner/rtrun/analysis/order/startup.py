@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.analysis.distributions import Floats, binomial_above
+from rtrun.analysis.chance.distributions import Floats, binomial_above
 from rtrun.analysis.trials import Trials, count_misses, loop_positions
 from rtrun.kinds.values import Int64s
 

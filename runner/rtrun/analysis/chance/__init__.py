@@ -1,0 +1,1 @@
+"""Chances: distributions, intervals of a probability, tests of ranks and means, how many measurements decide."""

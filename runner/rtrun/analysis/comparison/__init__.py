@@ -1,0 +1,1 @@
+"""Comparison: do two sets of runs differ, and by how much?"""

@@ -1,0 +1,1 @@
+"""Tails: the worst case, from the highest values."""
