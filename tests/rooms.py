@@ -23,13 +23,24 @@ def find_late_imports(package: ModuleType, rooms: Sequence[str], room: str) -> l
     return [f"{path}: {name}" for path in modules for name in _imported_rooms(package, path) if name in late]
 
 
+def imports(package: ModuleType) -> dict[str, set[str]]:
+    """The modules of a package that each of its modules imports, wherever in it the import stands."""
+    top = Path(str(package.__file__)).parent
+    paths = {".".join(path.relative_to(top.parent).with_suffix("").parts): path for path in top.rglob("*.py")}
+    return {
+        name: {module for each in _imported(path) for module in (each, each.rpartition(".")[0]) if module in paths}
+        for name, path in paths.items()
+    }
+
+
 def _imported_rooms(package: ModuleType, path: Path) -> Iterator[str]:
-    """The rooms that a module imports from, wherever in the module the import stands."""
+    yield from (name.split(".")[1] for name in _imported(path) if name.startswith(f"{package.__name__}."))
+
+
+def _imported(path: Path) -> Iterator[str]:
+    """The full names of what a module imports: of modules, or of what is in them."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.module:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        else:
-            continue
-        yield from (name.split(".")[1] for name in names if name.startswith(f"{package.__name__}."))
+            yield from (alias.name for alias in node.names)

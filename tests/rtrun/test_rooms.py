@@ -2,6 +2,7 @@
 
 import ast
 from collections import Counter
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 import rtfiles
 import rtgen
 import rtrun
-from rooms import find_late_imports, modules_of_rooms
+from rooms import find_late_imports, imports, modules_of_rooms
 from rtrun.plan.suites import suites
 
 # docs/house.md names them in this order.
@@ -26,6 +27,14 @@ def test_every_module_stands_in_a_room():
 @pytest.mark.parametrize("room", ROOMS)
 def test_no_room_imports_a_later_one(room):
     assert find_late_imports(rtrun, ROOMS, room) == []
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    imported = imports(rtrun)
+    assert "rtrun.kinds.values" in imported["rtrun.kinds.rows"]
+    TopologicalSorter(imported).prepare()
+    with pytest.raises(CycleError):
+        TopologicalSorter(imported | {"rtrun.kinds.values": {"rtrun.kinds.rows"}}).prepare()
 
 
 def test_no_module_asks_for_a_suite_or_a_kind_by_its_name():

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 
-from rtrun.flows.messages import Endpoint, Reception
+from rtrun.flows.messages import SUBSCRIPTIONS, Endpoint, Reception
 from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import LivingThing, numbered
 from rtrun.flows.recorder import FlowRecorder
-from rtrun.flows.threads import CallbackLog, LivingCallback, ObservedThread, OpenCallback
-from rtrun.flows.timers import LEAST_CALLS, LivingTimer, TimerLog
+from rtrun.flows.threads import CALLBACKS, CallbackLog, LivingCallback, ObservedThread, OpenCallback
+from rtrun.flows.timers import LEAST_CALLS, TIMERS, LivingTimer, TimerLog
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.probes.hits import Hit
 
@@ -46,7 +46,7 @@ class CallRecord:
         if handle is None:
             self._state.unreadable += 1
             return None
-        timers = thread.process.timers
+        timers = TIMERS.of(thread.process)
         if not self._state.has_room(handle, timers):
             return None
         if handle in timers:
@@ -58,7 +58,7 @@ class CallRecord:
 
     def _link_timer(self, hit: Hit, thread: ObservedThread) -> None:
         thread.does_other_work()
-        timer = thread.process.timers.get(hit.values.get("timer", ""))
+        timer = TIMERS.of(thread.process).get(hit.values.get("timer", ""))
         if timer is None:
             self._state.unreadable += 1
         else:
@@ -66,7 +66,7 @@ class CallRecord:
 
     def _call_timer(self, hit: Hit, thread: ObservedThread) -> None:
         values = hit.values
-        timer = thread.process.timers.get(values.get("timer", ""))
+        timer = TIMERS.of(thread.process).get(values.get("timer", ""))
         period_ns = values.get("period_ns")
         if timer is None or (period_ns is not None and timer.period_ns not in (None, period_ns)):
             # A timer that is given another period is another one from then on.
@@ -109,7 +109,7 @@ class CallRecord:
     def _link_subscription(self, hit: Hit, thread: ObservedThread) -> None:
         """rclcpp makes an object of its own for a subscription of rcl."""
         thread.does_other_work()
-        subscriptions, handle = thread.process.subscriptions, hit.values.get("object")
+        subscriptions, handle = SUBSCRIPTIONS.of(thread.process), hit.values.get("object")
         endpoint = subscriptions.get(hit.values.get("subscription", ""))
         if handle is not None and endpoint is not None and self._state.has_room(handle, subscriptions):
             subscriptions[handle] = endpoint
@@ -122,13 +122,14 @@ class CallRecord:
             self._state.unreadable += 1
             return
         process = thread.process
-        if not self._state.has_room(handle, process.callbacks):
+        callbacks = CALLBACKS.of(process)
+        if not self._state.has_room(handle, callbacks):
             return
-        if handle in process.callbacks:
-            process.callbacks[handle].is_replaced = True
-        made = process.callbacks[handle] = LivingCallback(process)
-        timer = process.timers.get(hit.values.get("timer", ""))
-        made.owner = timer or process.subscriptions.get(hit.values.get("object", ""))
+        if handle in callbacks:
+            callbacks[handle].is_replaced = True
+        made = callbacks[handle] = LivingCallback(process)
+        timer = TIMERS.of(process).get(hit.values.get("timer", ""))
+        made.owner = timer or SUBSCRIPTIONS.of(process).get(hit.values.get("object", ""))
 
     def _begin(self, hit: Hit, thread: ObservedThread) -> None:
         thread.has_callbacks = True
@@ -137,11 +138,11 @@ class CallRecord:
         if handle is None:
             self._state.unreadable += 1
             return
-        callback = thread.process.callbacks.get(handle)
+        callback = CALLBACKS.of(thread.process).get(handle)
         if callback is None:
             if not self._state.add_thing():
                 return
-            callback = thread.process.callbacks[handle] = LivingCallback(thread.process)
+            callback = CALLBACKS.of(thread.process)[handle] = LivingCallback(thread.process)
         # roscpp tells the topic: another thread took the message.
         is_told = "topic" in hit.values
         message = cause if not is_told and callback.is_of(cause) and isinstance(cause, Reception) else None
@@ -156,7 +157,7 @@ class CallRecord:
         # Those above it ended by an exception.
         while thread.callbacks and opened is None:
             opened = thread.callbacks.pop()
-            if handle is not None and thread.process.callbacks.get(handle) is not opened.callback:
+            if handle is not None and CALLBACKS.of(thread.process).get(handle) is not opened.callback:
                 opened = None
         if opened is None:
             return

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from rtrun.flows.observation_state import ObservationState
-from rtrun.flows.programs import LivingProcess, LivingThing
+from rtrun.flows.programs import HandleTable, LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
 from rtrun.kinds.messages import NOT_SEEN_NS
 
@@ -53,6 +53,11 @@ class Endpoint(LivingThing):
         self.begin_ns = begin_ns
         """When it was made, where that was seen."""
         self.end: End
+
+
+PUBLISHERS, SUBSCRIBERS = HandleTable[Endpoint](), HandleTable[Endpoint]()
+SUBSCRIPTIONS = HandleTable[Endpoint]()
+"""By their handles in rcl, and by their objects in rclcpp."""
 
 
 class Publication:

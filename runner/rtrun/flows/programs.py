@@ -3,15 +3,11 @@
 import re
 from collections.abc import Hashable, Sequence
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from rtrun.probes.hits import ObservedProgram
 
-if TYPE_CHECKING:
-    from rtrun.flows.messages import Endpoint
-    from rtrun.flows.threads import LivingCallback
-    from rtrun.flows.timers import LivingTimer
-
+T = TypeVar("T")
 _REMAPPED = re.compile(r"(?:[^:=]*:)?__(node|name|ns):=(.*)", re.DOTALL)
 _INTERPRETER = re.compile(r"python[0-9.]*")
 
@@ -26,10 +22,7 @@ Handle = int | str
 class LivingProcess:
     """A process from its first hit to its end. `label` names its node, or the program where no node is known."""
 
-    __slots__ = (
-        "callbacks", "has_own_name", "is_alive", "label", "labels", "names_of_nodes", "pid", "program",
-        "publishers", "subscribers", "subscriptions", "timers",
-    )  # fmt: skip
+    __slots__ = ("has_own_name", "is_alive", "label", "labels", "names_of_nodes", "pid", "program", "tables")
 
     def __init__(self, pid: int, program: ObservedProgram | None, *, has_own_name: bool = False) -> None:
         self.pid = pid
@@ -42,18 +35,12 @@ class LivingProcess:
         self.names_of_nodes: dict[Handle, str] = {}
         self.labels: dict[str, str] = {}
         """By names of its nodes: the same, as they are told from those of other processes."""
-        self.publishers: dict[Handle, Endpoint] = {}
-        self.subscribers: dict[Handle, Endpoint] = {}
-        self.subscriptions: dict[Handle, Endpoint] = {}
-        """By their handles in rcl, and by their objects in rclcpp."""
-        self.timers: dict[Handle, LivingTimer] = {}
-        self.callbacks: dict[Handle, LivingCallback] = {}
+        self.tables: dict[HandleTable[Any], dict[Handle, Any]] = {}
 
     @property
     def things(self) -> int:
         """How many things it has, itself included."""
-        of_rcl = len(self.names_of_nodes) + len(self.publishers) + len(self.subscribers) + len(self.subscriptions)
-        return 1 + of_rcl + len(self.timers) + len(self.callbacks)
+        return 1 + len(self.names_of_nodes) + sum(map(len, self.tables.values()))
 
     def node(self, handle: Handle | None) -> str:
         """The name of a node that was seen to begin; of one that was not, the only node's, or the process' own.
@@ -66,6 +53,17 @@ class LivingProcess:
         if handle in names:
             return names[handle]
         return next(iter(names.values())) if len(set(names.values())) == 1 else self.label
+
+
+class HandleTable(Generic[T]):
+    """What processes have of one sort, by handle: each process has a table of its own, and drops it when it ends."""
+
+    def of(self, process: LivingProcess) -> dict[Handle, T]:
+        """The table of a process."""
+        table = process.tables.get(self)
+        if table is None:
+            table = process.tables[self] = {}
+        return table
 
 
 class LivingThing:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from rtrun.flows.messages import Reception
-from rtrun.flows.programs import LivingProcess, LivingThing
+from rtrun.flows.programs import HandleTable, LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
 from rtrun.flows.timers import LivingTimer
 
@@ -61,6 +61,9 @@ class LivingCallback(LivingThing):
         """Whether it can be named: its subject is known, or was never seen in several calls."""
         known = self.owner is not None and (not isinstance(self.owner, LivingTimer) or self.owner.log is not None)
         return known or self.calls >= _CALLS_WITHOUT_CAUSE
+
+
+CALLBACKS = HandleTable[LivingCallback]()
 
 
 class OpenCallback(NamedTuple):

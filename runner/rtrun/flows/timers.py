@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtfiles.output import counted
-from rtrun.flows.programs import Handle, LivingProcess, LivingThing
+from rtrun.flows.programs import Handle, HandleTable, LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
 from rtrun.flows.values import int64s, steps
 from rtrun.kinds.messages import NOT_SEEN_NS
@@ -71,6 +71,9 @@ class LivingTimer(LivingThing):
         self.node: Handle | None = None
         self.early: list[tuple[int, int, int]] = []
         self.log: TimerLog | None = None
+
+
+TIMERS = HandleTable[LivingTimer]()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -3,7 +3,18 @@
 from collections.abc import Callable, Mapping
 
 from rtrun.flows.matching import PayloadMatching, StampMatching, has_header
-from rtrun.flows.messages import TAKERS_MAX, End, Endpoint, MessageRecord, Payload, Publication, Reception
+from rtrun.flows.messages import (
+    PUBLISHERS,
+    SUBSCRIBERS,
+    SUBSCRIPTIONS,
+    TAKERS_MAX,
+    End,
+    Endpoint,
+    MessageRecord,
+    Payload,
+    Publication,
+    Reception,
+)
 from rtrun.flows.observation_state import FAULT, ObservationState
 from rtrun.flows.paths import PathRecord
 from rtrun.flows.programs import NAME_CHARACTERS_MAX, Handle, LivingProcess, full_name
@@ -32,7 +43,7 @@ class TopicRecord(MessageRecord):
             "publish": self._publish,
             "take": self._take,
             "node_init": self._init_node,
-            "publisher_init": lambda hit, thread: self._init(hit, thread, PUBLISHER, thread.process.publishers),
+            "publisher_init": lambda hit, thread: self._init(hit, thread, PUBLISHER, PUBLISHERS.of(thread.process)),
             "subscription_init": self._init_subscription,
         }
         self._state = state
@@ -83,7 +94,7 @@ class TopicRecord(MessageRecord):
             return
         key = key_of(hit.values)
         process = thread.process
-        endpoint = self._endpoint_of(hit, process, PUBLISHER, process.publishers)
+        endpoint = self._endpoint_of(hit, process, PUBLISHER, PUBLISHERS.of(process))
         if endpoint is None:
             self._state.unreadable += 1
             return
@@ -107,7 +118,7 @@ class TopicRecord(MessageRecord):
             return
         key = key_of(hit.values)
         process = thread.process
-        endpoint = self._endpoint_of(hit, process, SUBSCRIBER, process.subscribers)
+        endpoint = self._endpoint_of(hit, process, SUBSCRIBER, SUBSCRIBERS.of(process))
         if endpoint is None or key is None:
             self._state.unreadable += 1
             thread.does_other_work()
@@ -185,10 +196,11 @@ class TopicRecord(MessageRecord):
 
     def _init_subscription(self, hit: Hit, thread: ObservedThread) -> None:
         process = thread.process
-        self._init(hit, thread, SUBSCRIBER, process.subscribers)
-        handle, endpoint = hit.values.get("subscription"), process.subscribers.get(hit.values.get("endpoint", ""))
-        if handle is not None and endpoint is not None and self._state.has_room(handle, process.subscriptions):
-            process.subscriptions[handle] = endpoint
+        subscribers, subscriptions = SUBSCRIBERS.of(process), SUBSCRIPTIONS.of(process)
+        self._init(hit, thread, SUBSCRIBER, subscribers)
+        handle, endpoint = hit.values.get("subscription"), subscribers.get(hit.values.get("endpoint", ""))
+        if handle is not None and endpoint is not None and self._state.has_room(handle, subscriptions):
+            subscriptions[handle] = endpoint
 
     def _init_node(self, hit: Hit, thread: ObservedThread) -> None:
         node, name, namespace = (hit.values.get(key, "") for key in ("node", "name", "namespace"))
