@@ -41,8 +41,9 @@ from rtrun.analysis.order.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.judgement import study as studies
 from rtrun.judgement.study import study
+from rtrun.kinds.lateness import Of
 from rtrun.plan import question as questions
-from rtrun.plan.question import Bursts, Of, Question, Tolerance, read_tolerance
+from rtrun.plan.question import Bursts, Question, Tolerance, read_tolerance
 from rtrun.results.journal import open_journal
 from rtrun.results.record import RunStatus
 from rtrun.results.run_state import GivenUp, RunState

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtrun.kinds.lateness import are_late
 from rtrun.kinds.values import Int64s, pieces
 
 # The difference of two values from -LIMIT_NS to LIMIT_NS - 1 fits into an int64; it is 146 years.
@@ -43,11 +44,11 @@ class Histogram:
             return 0
         if self.overflow and (self.overflow_from_ns is None or limit_ns > self.overflow_from_ns):
             raise ValueError("the deadline lies beyond the histogram's last bin, where values are only counted")
-        return int(self.counts[self.values_ns > limit_ns - self.bin_ns + 1].sum()) + self.overflow
+        return int(self.counts[are_late(self.values_ns, limit_ns, self.bin_ns)].sum()) + self.overflow
 
     def unclear(self, limit_ns: int) -> int:
         """How many of those above a limit may as well lie at or below it, in the same bin."""
-        holds_limit = (self.values_ns <= limit_ns) & (self.values_ns > limit_ns - self.bin_ns + 1)
+        holds_limit = are_late(self.values_ns, limit_ns, self.bin_ns) & ~are_late(self.values_ns, limit_ns)
         return int(self.counts[holds_limit].sum())
 
 

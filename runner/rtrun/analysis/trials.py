@@ -9,6 +9,7 @@ import numpy as np
 from rtrun.analysis.dependence.design_effect import Events, locate
 from rtrun.analysis.dependence.episodes import FoundEpisodes, find_episodes
 from rtrun.analysis.histogram import Histogram
+from rtrun.kinds.lateness import are_late
 from rtrun.kinds.values import Int64s
 from rtrun.plan.question import NONE_TOLERATED, Tolerance
 
@@ -79,7 +80,7 @@ def windowed(values_ns: Int64s, absent: Int64s, deadline_ns: int, tolerance: Tol
     came = np.ones(loops, bool)
     came[absent] = False
     every[came] = values_ns
-    late = np.concatenate(([0], np.cumsum(every > deadline_ns)))
+    late = np.concatenate(([0], np.cumsum(are_late(every, deadline_ns))))
     is_late = late[size:] - late[:-size] > tolerance.misses
     # As many of the highest values as it takes for enough windows that they decide.
     for many in (_HIGHEST * 8**power for power in itertools.count()):
@@ -131,17 +132,16 @@ def count_misses(
     """
     if absent is None:
         absent = np.empty(0, np.int64)
-    surely_ns = deadline_ns - (step_ns - 1)
     if tolerance != NONE_TOLERATED:
-        decides, never = windowed(values_ns, absent, surely_ns, tolerance)
+        decides, never = windowed(values_ns, absent, deadline_ns - (step_ns - 1), tolerance)
         return replace(
             count_misses(decides, deadline_ns, never, period_ns=period_ns, step_ns=step_ns),
             worst_ns=int(values_ns.max()) if values_ns.size else None,
         )
     loops = values_ns.size + absent.size
-    misses = np.flatnonzero(values_ns > surely_ns).astype(np.int64)
+    misses = np.flatnonzero(are_late(values_ns, deadline_ns, step_ns)).astype(np.int64)
     late = misses.size
-    unclear = late - int(np.count_nonzero(values_ns > deadline_ns)) if step_ns > 1 else 0
+    unclear = late - int(np.count_nonzero(are_late(values_ns, deadline_ns))) if step_ns > 1 else 0
     if absent.size:
         misses = np.sort(np.concatenate((loop_positions(misses, absent), absent)))
     level, high = None, _NONE

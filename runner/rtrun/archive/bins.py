@@ -13,6 +13,7 @@ import numpy as np
 from rtrun.analysis.figures import PERCENTILES
 from rtrun.archive.files import RowRange, TableFile, coded, numbers_of, opened
 from rtrun.archive.store import Store
+from rtrun.kinds.lateness import are_late
 from rtrun.kinds.limits import TIME_MAX_NS
 from rtrun.kinds.values import Int64s
 
@@ -147,8 +148,8 @@ def merged(bins: Sequence[Bins]) -> Bins:
 def figures_of_bins(bins: Sequence[Bins], deadline_ns: int) -> Mapping[str, Any]:
     """n, misses, unclear, percentiles_ns and max_ns of a Point, of the bins of its runs."""
     value, width, count = joined(bins)
-    late = value > deadline_ns - width + 1
-    close = late & (value <= deadline_ns)
+    late = are_late(value, deadline_ns, width)
+    close = late & ~are_late(value, deadline_ns)
     limit_ns: int | None = None  # from here on values are known by number only
     added = value, width, count
     if value.size and NONE in (value.min(), width.min()):

@@ -18,8 +18,9 @@ from rtrun.archive.runs import Archive, RunRow
 from rtrun.archive.store import Store
 from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import called
+from rtrun.kinds.lateness import judged
 from rtrun.kinds.limits import BINS_MAX
-from rtrun.plan.suites import judged, measures
+from rtrun.plan.suites import measures
 
 # Rows of histograms that are held at one time, which takes up to 150 bytes each. A run has some ten thousand.
 ROWS_MAX = 2 * BINS_MAX

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import JITTER, judged
 from rtrun.kinds.values import Int64s
-from rtrun.plan.suites import Value, judged, kind_of, measures
+from rtrun.plan.suites import Value, kind_of, measures
 from rtrun.plan.trace import SERIES
 from rtrun.results.record import RunRecord, check_file
 from rtrun.results.samples import read_samples
@@ -44,4 +45,4 @@ def read_measured(folder: Path, record: RunRecord, of: Measure | None = None) ->
 
 def traced_series(suite: str, parameters: Mapping[str, Value]) -> Measure:
     """The series that the limit of a trace is held against: of the cyclic timer what it was asked for."""
-    return judged(measures(suite), "jitter" if parameters.get(SERIES) == "jitter" else None)
+    return judged(measures(suite), JITTER if parameters.get(SERIES) == JITTER else None)

@@ -4,6 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from rtrun.commands._question import add_of, time_argument
+from rtrun.kinds.lateness import LATENESS
 
 if TYPE_CHECKING:
     from rtrun.archive.courses import Course
@@ -17,7 +18,7 @@ def add_archive(parser: argparse.ArgumentParser) -> None:
 
 def add_deadline(parser: argparse.ArgumentParser) -> None:
     """The deadline, by default the thesis', and the series that it applies to."""
-    add_of(parser, "lateness")
+    add_of(parser, LATENESS)
     parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
 
 

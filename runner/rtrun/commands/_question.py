@@ -6,8 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar, get_args
 
+from rtrun.kinds.lateness import Of
 from rtrun.plan.quantities import read_probability, read_time_ns
-from rtrun.plan.question import THESIS, Of, Question, may_follow, read_bursts, read_tolerance
+from rtrun.plan.question import THESIS, Question, may_follow, read_bursts, read_tolerance
 
 if TYPE_CHECKING:
     from rtrun.judgement.study import Study

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from rtrun.commands._arguments import add_json, add_results
 from rtrun.commands._question import add_of
+from rtrun.kinds.lateness import LATENESS
 
 NAME = "why"
 SHOWN = 3
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     ranking, explained, refused = causes.ranked(source)
     of = args.of
     if of is None and (goal := read_goal(args.results)):
-        of = goal.of or "lateness"
+        of = goal.of or LATENESS
     periods, not_searched = causes.periods(source, of)
     table = causes.table(ranking, explained)
     cost, not_compared = tracing_cost_at(source, of)

@@ -14,6 +14,7 @@ from rtrun.causes.control import control_ns
 from rtrun.causes.outliers import AFTER_NS, BEFORE_NS
 from rtrun.flows.live import NewValues
 from rtrun.flows.turns import Turn
+from rtrun.kinds.lateness import are_late
 from rtrun.kinds.values import Int64s
 from rtrun.plan.trace import quantile
 from rtrun.probes.hits import GAPS_MAX, Gap, Hit, joined
@@ -149,7 +150,7 @@ class LateValueRecord:
         limit_ns = late.limit_ns = self._limit_ns(new)
         if limit_ns is None:
             return
-        places = np.flatnonzero(new.values_ns > limit_ns)
+        places = np.flatnonzero(are_late(new.values_ns, limit_ns))
         late.above_limit += places.size
         for place in places:
             at_ns = int(new.times_ns[place])

@@ -17,6 +17,7 @@ from rtrun.execution import clock_record
 from rtrun.execution.late_values import LateValue, LateValues
 from rtrun.execution.observation import defect_in_words
 from rtrun.flows.values import Stream, typical_step
+from rtrun.kinds.lateness import is_late
 from rtrun.kinds.values import Int64s
 from rtrun.plan.observation import StreamDeadline
 from rtrun.plan.run import UNTRACED
@@ -106,7 +107,7 @@ def write_streams(
             without_value.append((stream, "; ".join(remarks)))
             continue
         deadline_ns = facts.deadline_ns(output)
-        if deadline_ns is not None and stream.open_ns > deadline_ns:
+        if deadline_ns is not None and is_late(stream.open_ns, deadline_ns):
             # It is a miss whenever it comes.
             output = replace(output, asked=output.asked + 1, missing=output.missing + 1)
             left_out.append(f"{_in_words(stream)}: {stream.kind.overdue.format(time(stream.open_ns))}")

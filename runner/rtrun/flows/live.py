@@ -11,6 +11,7 @@ from rtrun.flows.observed.source import StreamSource
 from rtrun.flows.streams import OBSERVED
 from rtrun.kinds.kind import StreamKind
 from rtrun.kinds.known import STREAMS
+from rtrun.kinds.lateness import are_late
 from rtrun.kinds.values import Int64s
 from rtrun.plan.observation import StreamDeadline
 from rtrun.probes.hits import Gap, covered_ns
@@ -66,7 +67,7 @@ class BinnedValues:
         most = int(values_ns.max())
         self.worst_ns = most if self.worst_ns is None else max(most, self.worst_ns)
         if limit_ns is not None:
-            self.misses += int(np.count_nonzero(values_ns > limit_ns))
+            self.misses += int(np.count_nonzero(are_late(values_ns, limit_ns)))
         part, octave = np.frexp(np.maximum(values_ns, 1).astype(np.float64))
         place = octave.astype(np.int64) * _BINS_OF_OCTAVE + ((part - 0.5) * 2 * _BINS_OF_OCTAVE).astype(np.int64)
         self._bins, inverse = np.unique(np.concatenate((self._bins, place)), return_inverse=True)

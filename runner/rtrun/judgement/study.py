@@ -23,8 +23,9 @@ from rtrun.evidence.duplicates import copies_among, overlaps_among
 from rtrun.judgement.digest import Digest, JudgedDigest, digest
 from rtrun.judgement.groups import Group, key_of, scenario, slowest
 from rtrun.kinds.known import MAIN_2014
+from rtrun.kinds.lateness import judged
 from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
-from rtrun.plan.suites import ALLOCATIONS, judged, measures, telling_parameters
+from rtrun.plan.suites import ALLOCATIONS, measures, telling_parameters
 from rtrun.results import reading
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record

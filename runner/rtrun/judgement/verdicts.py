@@ -10,6 +10,7 @@ from rtrun.analysis.deadline import Answer, Unlike, Verdict
 from rtrun.analysis.order.trends import LEAST_UNITS, Climb
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
+from rtrun.kinds.lateness import absent_in_words, is_late
 from rtrun.plan.question import NONE_TOLERATED, STALL_NS, UNKNOWN_PERIOD_NS
 
 # Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
@@ -48,7 +49,7 @@ def verdict_line(group: Group, name: str = "") -> VerdictLine:
 def _numbers(verdict: Verdict, group: Group) -> str:
     parts = sentences(verdict)
     startup_ns = [value.value_ns for one in group.digests for value in one.header.startup]
-    late_start = [value_ns for value_ns in startup_ns if value_ns > verdict.question.deadline_ns]
+    late_start = [value_ns for value_ns in startup_ns if is_late(value_ns, verdict.question.deadline_ns)]
     if late_start:
         parts.append(f"start-up apart: {len(late_start)} late, worst {time(max(late_start))}")
     if group.members:
@@ -62,9 +63,7 @@ def sentences(verdict: Verdict) -> list[str]:
     what = "late" if verdict.question.tolerance == NONE_TOLERATED else "windows hold too many misses"
     parts = [f"{grouped(verdict.late)} of {grouped(verdict.n)} {what}"]
     if verdict.absent:
-        is_skip = verdict.question.of in ("lateness", "response")
-        absent = f"{counted(verdict.absent, 'period')} skipped" if is_skip else f"{verdict.absent} never came"
-        parts[0] += f" and {absent}"
+        parts[0] += f" and {absent_in_words(verdict.absent, verdict.question.of)}"
     parts.append(f"P({verdict.question.miss}) {_between(verdict)}")
     if episodes := _episodes(verdict):
         parts.append(episodes)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Int64s = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 PIECE = 1 << 16  # values that stay in the cache
 
 

@@ -5,8 +5,9 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from rtfiles.config import Config
+from rtrun.kinds.lateness import Of
 from rtrun.plan.quantities import read_probability, read_share, read_time_ns
-from rtrun.plan.question import BURSTS_MAX, NONE_TOLERATED, THESIS, Of, Question, Tolerance, boots_for, read_tolerance
+from rtrun.plan.question import BURSTS_MAX, NONE_TOLERATED, THESIS, Question, Tolerance, boots_for, read_tolerance
 
 Time = Annotated[int, BeforeValidator(read_time_ns)]
 Probability = Annotated[float, BeforeValidator(read_probability)]

@@ -7,9 +7,8 @@ from typing import Literal
 
 from rtfiles.quantities import grouped, time
 from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import LATENESS
 
-Of = Literal["lateness", "jitter"]
-"""The values that a question may name. Lateness is how late something came that was due: every latency is one."""
 # So many loops are looked at together at most: a second at 1 kHz.
 AMONG_MAX = 1000
 # No goal asks for longer bursts.
@@ -155,7 +154,7 @@ def weaker(goal: Question, asked: Question, bursts_by_default: int = 1) -> tuple
     """
     parts = []
     if asked.of != goal.of:
-        parts.append(f"of the {asked.of or 'lateness'}, not of the {goal.of or 'lateness'}")
+        parts.append(f"of the {asked.of or LATENESS}, not of the {goal.of or LATENESS}")
     if asked.deadline_ns > goal.deadline_ns:
         parts.append(f"a deadline of {time(asked.deadline_ns)}, not {time(goal.deadline_ns)}")
     if asked.probability > goal.probability:

@@ -6,7 +6,7 @@ A name of a suite that is not in suites.yml is a UsageError.
 
 import functools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,6 +18,7 @@ from rtfiles.errors import UsageError
 from rtfiles.wording import did_you_mean, unknown
 from rtrun.kinds.kind import Measure, MeasurementKind
 from rtrun.kinds.known import KINDS, called
+from rtrun.kinds.lateness import judged
 from rtrun.kinds.limits import CPU_DMA_LATENCY_MAX_US, PID_MAX, RT_PRIORITY_MAX
 from rtrun.plan.middleware.description import DEFAULT, NONE, middleware_names, middlewares
 from rtrun.plan.quantities import INTERVAL_MAX_US
@@ -167,18 +168,6 @@ class Suite(Config):
     def judged(self, of: Measure | None) -> Measure:
         """What a question is of. Raises UsageError where the suite does not measure that."""
         return judged(self.measures, of)
-
-
-def judged(measures: Sequence[Measure], of: Measure | None) -> Measure:
-    """Which of these a question is of: what it names, or the first one; a latency is the lateness of its subject.
-
-    Raises UsageError where none is.
-    """
-    if of is None or of in measures:
-        return of or measures[0]
-    if of == "lateness" and "latency" in measures:
-        return "latency"
-    raise UsageError(f"measures {' and '.join(measures)}, not {of}")
 
 
 class Suites(Config):

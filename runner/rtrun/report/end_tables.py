@@ -17,6 +17,7 @@ from rtrun.judgement.layers import LayerPair
 from rtrun.judgement.study import Study, environment, in_word
 from rtrun.judgement.topologies import MeasuredTopology
 from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import LATENESS
 from rtrun.plan.quantities import time_text
 from rtrun.plan.question import NONE_TOLERATED
 from rtrun.report import causes, influence, late_paths, layers
@@ -69,7 +70,7 @@ def _causes(study: Study, found: causes.Found) -> tuple[Table, Table]:
 
 def _judged(study: Study) -> Measure:
     """The series that is judged; whatever a suite measures may be late."""
-    return study.question.of or "lateness"
+    return study.question.of or LATENESS
 
 
 def _worst_cases(study: Study) -> Table:

@@ -16,8 +16,9 @@ from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram, 
 from rtrun.analysis.histogram import Histogram
 from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import MAIN_2014, called, startup_loops
+from rtrun.kinds.lateness import judged
 from rtrun.kinds.values import Int64s
-from rtrun.plan.suites import Value, judged, measures, period_of, suite
+from rtrun.plan.suites import Value, measures, period_of, suite
 from rtrun.results.output import InEffect
 from rtrun.results.samples import Samples, read_samples
 from rtrun.targets.inspection.platform import Platform

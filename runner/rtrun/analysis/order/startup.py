@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtrun.analysis.chance.distributions import Floats, binomial_above
 from rtrun.analysis.trials import Trials, count_misses, loop_positions
+from rtrun.kinds.lateness import are_late
 from rtrun.kinds.values import Int64s
 
 # Below this chance the first loops are a start-up, after Bonferroni for all lengths, patterns and kinds of events.
@@ -139,7 +140,11 @@ def _events(values_ns: Int64s, absent: Int64s, deadline_ns: int) -> Iterator[tup
     high = np.flatnonzero(values_ns > levels[0])
     heights = values_ns[high]
     # Misses are among the high values, unless more than these are late.
-    late = high[heights > deadline_ns] if deadline_ns >= levels[0] else np.flatnonzero(values_ns > deadline_ns)
+    late = (
+        high[are_late(heights, deadline_ns)]
+        if deadline_ns >= levels[0]
+        else np.flatnonzero(are_late(values_ns, deadline_ns))
+    )
     for places, weights, most in (
         (high, np.searchsorted(levels, heights), levels.size),
         (late, np.ones(late.size, np.int64), 1),

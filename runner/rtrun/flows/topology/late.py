@@ -11,6 +11,7 @@ import numpy as np
 
 from rtrun.flows.topology.chains import Spans, origins, reactions
 from rtrun.flows.topology.tables import NONE, HopTable, NodeTable, TopologyTables
+from rtrun.kinds.lateness import are_late
 from rtrun.kinds.values import Int64s
 from rtrun.plan.topology.topology import NodePath, Waits
 
@@ -59,8 +60,10 @@ def late_path(tables: TopologyTables, path: NodePath, deadline_ns: int | None) -
     lengths = spans.end_ns - spans.begin_ns
     if not lengths.size:
         return None
-    limit_ns = deadline_ns if deadline_ns and (lengths > deadline_ns).any() else int(np.quantile(lengths, 1 - HIGHEST))
-    is_late = lengths > limit_ns
+    limit_ns = deadline_ns or 0
+    if not limit_ns or not are_late(lengths, limit_ns).any():
+        limit_ns = int(np.quantile(lengths, 1 - HIGHEST))
+    is_late = are_late(lengths, limit_ns)
     if not is_late.any():
         is_late = lengths >= lengths.max()
     parts: dict[str, Int64s] = {}

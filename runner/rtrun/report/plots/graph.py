@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from rtfiles.output import printable
 from rtfiles.quantities import time
 from rtrun.judgement.topologies import MeasuredTopology
+from rtrun.kinds.lateness import is_late
 from rtrun.plan.topology.rates import cpus_text
 from rtrun.plan.topology.topology import Topology, TopologyNode, Waits
 from rtrun.report.plots.layout import Layout, layered
@@ -166,8 +167,8 @@ def _node_lines(node: TopologyNode, figures: NodeFigures | None) -> list[tuple[s
     if figures is None or figures.response.max_ns is None:
         return [*lines, ("not seen", "late")]
     lines.append((f"CPU {time(figures.cpu.max_ns)}", "soft"))
-    is_late = node.deadline_ns is not None and figures.response.max_ns > node.deadline_ns
-    lines.append((f"done in {time(figures.response.max_ns)}", "late" if is_late else "soft"))
+    missed = node.deadline_ns is not None and is_late(figures.response.max_ns, node.deadline_ns)
+    lines.append((f"done in {time(figures.response.max_ns)}", "late" if missed else "soft"))
     if figures.overruns:
         lines.append((f"{figures.overruns} overrun{'s' * (figures.overruns != 1)}", "late"))
     return lines

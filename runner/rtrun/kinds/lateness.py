@@ -1,0 +1,50 @@
+"""What a deadline is compared with, and what counts as a miss. Whoever needs to know asks here.
+
+A value above its deadline is late; one that equals it is in time. What has no value is a miss too: a message that never
+came, a period that was skipped, a timer that did not fire, a call that never ended. What had not come at the end is one
+as soon as it was open for longer than the deadline.
+"""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from rtfiles.errors import UsageError
+from rtfiles.output import counted
+from rtrun.kinds.kind import Measure
+from rtrun.kinds.values import Bools, Int64s
+
+Of = Literal["lateness", "jitter"]
+"""The values that a question may name. Lateness is how late something came that was due: every latency is one."""
+LATENESS: Of = "lateness"
+JITTER: Of = "jitter"
+# What is missing of these is a period without a call.
+_OF_PERIODS: tuple[Measure, ...] = ("lateness", "response")
+
+
+def judged(measures: Sequence[Measure], of: Measure | None) -> Measure:
+    """Which of these a question is of: what it names, or the first one; a latency is the lateness of its subject.
+
+    Raises UsageError where none is.
+    """
+    if of is None or of in measures:
+        return of or measures[0]
+    if of == LATENESS and "latency" in measures:
+        return "latency"
+    raise UsageError(f"measures {' and '.join(measures)}, not {of}")
+
+
+def is_late(value_ns: int, deadline_ns: int) -> bool:
+    """Whether a value is late."""
+    return value_ns > deadline_ns
+
+
+def are_late(values_ns: Int64s, deadline_ns: int, width_ns: Int64s | int = 1) -> Bools:
+    """Which values are late, of shape (n,); of bins, given by their lower edges and their width, which may be."""
+    return np.asarray(values_ns > deadline_ns - width_ns + 1)
+
+
+def absent_in_words(number: int, of: Measure | None) -> str:
+    """How many have no value: "3 periods skipped"."""
+    return f"{counted(number, 'period')} skipped" if of in _OF_PERIODS else f"{number} never came"
