@@ -122,8 +122,8 @@ def write_streams(
             reason = f"{deadline.kind} {deadline.name}: {next(why, None) or _not_seen(deadline, outputs)}"
             unseen.append(reason)
             nothing = ObservedOutput(
-                suite=deadline.kind.suite,
-                parameters={deadline.kind.named_by: deadline.name, **facts.parameters},
+                suite=deadline.stream.suite,
+                parameters={deadline.stream.named_by: deadline.name, **facts.parameters},
                 columns={},
                 asked=0,
                 measured=0,
@@ -164,7 +164,7 @@ def put_aside(folder: Path) -> None:
 def _not_seen(deadline: StreamDeadline, outputs: Sequence[ObservedOutput]) -> str:
     """That a stream with a deadline was not there, and which of its kind were."""
     seen = dict.fromkeys(
-        str(output.parameters[deadline.kind.named_by]) for output in outputs if output.suite == deadline.kind.suite
+        str(output.parameters[deadline.stream.named_by]) for output in outputs if output.suite == deadline.stream.suite
     )
     others = f"; seen were {listed(seen, _NAMES_SHOWN)}" if seen else ""
     return f"it was not seen{others}"

@@ -120,7 +120,7 @@ class LiveFigures:
     ) -> None:
         self._observed = observed
         self._on_values = on_values
-        self._limits = {(deadline.kind, deadline.name): deadline.deadline_ns for deadline in deadlines}
+        self._limits = {(deadline.stream, deadline.name): deadline.deadline_ns for deadline in deadlines}
         self._shown: dict[object, _Shown] = {}
         self._at_ns = observed.begin_ns
 

@@ -92,7 +92,7 @@ def _longest_ns(found: TopologyRecord) -> int:
 
 def _critical(found: TopologyRecord) -> PathFigures | None:
     """The path whose reaction is the largest part of its deadline; where none has one, the longest reaction."""
-    deadlines = {each.name: each for each in own_deadlines(found.topology) if each.kind is PATH}
+    deadlines = {each.name: each for each in own_deadlines(found.topology) if each.stream is PATH}
     measured = [path for path in found.paths if path.reaction.max_ns is not None]
     with_deadline = [path for path in measured if ",".join(path.topics) in deadlines]
     return max(with_deadline or measured, key=lambda path: _urgency(path, deadlines), default=None)

@@ -338,7 +338,7 @@ def _check_subject(campaign: Campaign, where: Place, errors: list[str]) -> None:
     for number, deadline in enumerate(campaign.deadlines):
         if named.index(named[number]) < number:
             errors.append(f"{where / 'deadlines' / number}: {deadline.text}: it has another deadline before: give one")
-        if campaign.topology is None and deadline.kind.is_of_topologies:
+        if campaign.topology is None and deadline.stream.is_of_topologies:
             errors.append(f"{where / 'deadlines' / number}: {deadline.kind}: is of topologies: no probe sees it")
 
 

@@ -36,9 +36,14 @@ def stream_words(suite: str, parameters: "Mapping[str, Value]") -> "tuple[str, d
 class StreamDeadline:
     """A deadline of every stream of a kind and a name: of a topic, of a node, or of the topics of a path."""
 
-    kind: StreamKind
+    kind: str
     name: str
     deadline_ns: int
+
+    @property
+    def stream(self) -> StreamKind:
+        """The kind whose word it has."""
+        return STREAMS[self.kind]
 
     @property
     def text(self) -> str:
@@ -47,7 +52,7 @@ class StreamDeadline:
 
     def is_of(self, suite: str, parameters: "Mapping[str, Value]") -> bool:
         """Whether a stream has it."""
-        return suite == self.kind.suite and parameters.get(self.kind.named_by) == self.name
+        return suite == self.stream.suite and parameters.get(self.stream.named_by) == self.name
 
 
 def read_stream_deadline(text: object) -> StreamDeadline:
@@ -67,7 +72,7 @@ def read_stream_deadline(text: object) -> StreamDeadline:
         read_path(name)
     elif kind.named_by == "topic":
         _check_topic(name)
-    return StreamDeadline(kind=kind, name=name, deadline_ns=read_time_ns(time))
+    return StreamDeadline(kind=word, name=name, deadline_ns=read_time_ns(time))
 
 
 def read_path(text: object) -> tuple[str, ...]:
@@ -135,5 +140,5 @@ class ObservationPlan:
     @property
     def followed(self) -> tuple[tuple[str, ...], ...]:
         """Every path that is followed, each once."""
-        of_deadlines = (tuple(each.name.split(",")) for each in self.deadlines if each.kind is PATH)
+        of_deadlines = (tuple(each.name.split(",")) for each in self.deadlines if each.stream is PATH)
         return tuple(dict.fromkeys((*self.paths, *of_deadlines)))

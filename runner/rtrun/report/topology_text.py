@@ -143,10 +143,10 @@ def _paths(plan: TopologyPlan) -> Iterator[str]:
     number = len(plan.topology.all_paths())
     if not plan.paths:
         yield "no path is measured: no source leads to a sink; name one under paths"
-    of_paths = [each for each in plan.deadlines if each.kind.named_by == "path"]
+    of_paths = [each for each in plan.deadlines if each.stream.is_of_paths]
     for path in plan.paths[:_SHOWN]:
         own = [
-            f"{each.kind.word.replace('path', 'reaction')} {time(each.deadline_ns)}"
+            f"{each.kind.replace('path', 'reaction')} {time(each.deadline_ns)}"
             for each in of_paths
             if each.name == path.name
         ]

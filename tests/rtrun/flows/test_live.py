@@ -90,7 +90,7 @@ def test_figures_are_those_of_all_values(seen):
             if kind is MESSAGES:
                 assert row.lost == stream.counts["lost"] > 0
     with_deadline = {(row.kind, row.name) for row in rows if row.deadline_ns is not None}
-    assert with_deadline == {(each.kind, each.name) for each in DEADLINES[:-1]}
+    assert with_deadline == {(each.stream, each.name) for each in DEADLINES[:-1]}
 
 
 def test_rates_are_of_the_last_second(seen):

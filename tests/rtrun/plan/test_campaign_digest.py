@@ -11,6 +11,7 @@ from rtrun.plan.run import Run, digest_of
 from rtrun.plan.suites import Option
 
 DIGEST = "1:460e44bad51c66814997697dbc01cf7bcb76c07d20a7705288aac94c3286e7d3"
+OF_AN_OBSERVATION = "1:9d8354d62f4813a1d595f81a42f1ab4b46fdb44e51441a19fe6c60ebe90529ed"
 
 
 def runs_of(**values):
@@ -21,6 +22,12 @@ def runs_of(**values):
 def test_the_canonical_form_does_not_change():
     """Whoever changes it makes every campaign another one: increase the version."""
     assert digest_of(runs_of()) == DIGEST
+
+
+def test_that_of_an_observation_does_not_change():
+    asked = {"subject": "attached", "for": "2min", "deadlines": ["/cmd_vel=5ms", "timer:/c=1ms", "/a,/b=3ms"]}
+    campaign = Campaign(schema=1, name="o", paths=["/a,/b,/c"], runs=[{"repeats": 2}], **asked)
+    assert digest_of(plan(campaign, "o")) == OF_AN_OBSERVATION
 
 
 def test_a_field_added_with_its_default_changes_nothing():

@@ -84,7 +84,7 @@ def plan_topology(
         return None
     # That of the campaign is asked where the topology has another one.
     deadlines = tuple({(each.kind, each.name): each for each in (*own_deadlines(topology), *deadlines)}.values())
-    of_deadlines = (tuple(each.name.split(",")) for each in deadlines if each.kind.is_of_paths)
+    of_deadlines = (tuple(each.name.split(",")) for each in deadlines if each.stream.is_of_paths)
     named = dict.fromkeys((*(each.topics for each in topology.paths), *paths, *of_deadlines))
     followed = tuple(path for topics in named for path in topology.paths_of(topics))
     if not named:
@@ -105,24 +105,24 @@ def own_deadlines(topology: Topology) -> Iterator[StreamDeadline]:
     """The deadlines that stand in the topology file."""
     for node in topology.nodes:
         if node.deadline_ns:
-            yield StreamDeadline(kind=RESPONSE, name=node.full_name, deadline_ns=node.deadline_ns)
+            yield StreamDeadline(kind=RESPONSE.word, name=node.full_name, deadline_ns=node.deadline_ns)
     for path in topology.paths:
-        for kind, deadline_ns in ((PATH, path.reaction_ns), (AGE, path.age_ns)):
+        for kind, deadline_ns in ((PATH.word, path.reaction_ns), (AGE.word, path.age_ns)):
             if deadline_ns:
                 yield StreamDeadline(kind=kind, name=",".join(path.topics), deadline_ns=deadline_ns)
 
 
 def check_deadline(topology: Topology, deadline: StreamDeadline) -> None:
     """Refuse a deadline of what is not there. Raises ValueError."""
-    if deadline.kind.is_of_paths:
+    if deadline.stream.is_of_paths:
         topology.paths_of(tuple(deadline.name.split(",")))
-    elif deadline.kind.named_by == "topic":
+    elif deadline.stream.named_by == "topic":
         if not topology.takers.get(deadline.name):
             taken = ", ".join(topic for topic, takers in topology.takers.items() if takers)
             raise ValueError(f"{deadline.text}: no node takes {deadline.name}, taken are {taken}")
     else:
-        names = {node.full_name for node in topology.nodes if deadline.kind is not TIMER or node.period_ns > 0}
+        names = {node.full_name for node in topology.nodes if deadline.stream is not TIMER or node.period_ns > 0}
         if deadline.name not in names:
-            what = "node with a period" if deadline.kind is TIMER else "node"
+            what = "node with a period" if deadline.stream is TIMER else "node"
             known = ", ".join(sorted(names)) or "none"
             raise ValueError(f"{deadline.text}: no {what} is called {deadline.name}, there are {known}")
