@@ -58,6 +58,13 @@ def test_every_module_that_is_named_is_there_once(command):
     assert [name for name in names if not (Path(rtrun.__file__).parent / f"{name}.py").is_file()] == []
 
 
+def test_every_home_of_a_noun_is_there():
+    table = (TOP / "docs/house.md").read_text().partition("## The nouns")[2].partition("\n## ")[0]
+    homes = re.findall(r"`([\w/.]+)`", table)
+    assert 30 < len(homes) < 45, "one screen"
+    assert [home for home in homes if not (TOP / home).exists() and not (TOP / "runner/rtrun" / home).exists()] == []
+
+
 @pytest.mark.ros
 def test_whoever_follows_a_campaign_and_its_report_reads_what_is_named(tmp_path, suites_folder, wishes, ros_master):
     (tmp_path / "campaign.yml").write_text(

@@ -13,9 +13,9 @@ from rtrun.judgement.study import Study
 from rtrun.judgement.topologies import MeasuredTopology, measured_topologies
 from rtrun.judgement.verdicts import WORST_FIRST, boots_in_words
 from rtrun.report import causes
-from rtrun.report.end_tables import end_tables
 from rtrun.report.layers import LayerBar, stacks
 from rtrun.report.scenarios import Scenario, scenarios
+from rtrun.report.sections import ReportInput, sections
 from rtrun.report.tables import Table
 from rtrun.report.terminal import banner_of
 from rtrun.targets.inspection.facts import fact_text
@@ -62,7 +62,7 @@ def contents(study: Study) -> Contents:
         question=_question(study),
         facts=tuple(_facts(study)),
         scenarios=made,
-        tables=end_tables(study, pairs, found, topologies),
+        tables=sections(ReportInput(study=study, pairs=pairs, found=found, topologies=topologies)),
         stacks=stacks(pairs),
         topologies=topologies,
         # Who reads the report need not know where the results lay.

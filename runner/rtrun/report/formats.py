@@ -17,8 +17,8 @@ from rtrun.judgement.digest import Digest
 from rtrun.judgement.gate import Gate
 from rtrun.judgement.study import Study
 from rtrun.report.contents import Contents
-from rtrun.report.end_tables import fingerprint
 from rtrun.report.how import explanations
+from rtrun.report.run_facts import fingerprint
 from rtrun.report.tables import Table
 
 _PARAMETERS = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
