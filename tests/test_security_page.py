@@ -68,8 +68,8 @@ NO_LIMITS = {
     },
     "times of programs of our own": {
         "rtrun.execution.ros_graph.LOOK_S",
-        "rtrun.execution.run_programs.DEADLINE_EXTRA_S",
-        "rtrun.execution.run_programs.OBSERVED_EXTRA_S",
+        "rtrun.execution.subjects.suite.DEADLINE_EXTRA_S",
+        "rtrun.execution.subjects.observation.OBSERVED_EXTRA_S",
         "rtrun.targets.building.BUILD_S",
         "rtrun.targets.building.END_GRACE_S",
         "rtrun.targets.qemu.kvm.DEADLINE_S",

@@ -28,7 +28,8 @@ from readers import READERS, Files
 from measured import own_peak_mib
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.analysis.histogram import LIMIT_NS
-from rtrun.plan import conditions, limits, suites
+from rtrun.kinds import limits
+from rtrun.plan import conditions, suites
 
 # The libraries of all commands take 320 of it.
 MEMORY_MIB = 400

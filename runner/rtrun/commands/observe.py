@@ -220,16 +220,17 @@ def _list(args: argparse.Namespace, config: "TargetConfig", planned: "Run") -> i
     from rtrun.commands._link import linked
     from rtrun.execution import observation
     from rtrun.execution.ros_graph import read_graph
+    from rtrun.plan.observation import ObservationPlan
     from rtrun.targets import deploy
     from rtrun.targets.inspection import facts as inspection
 
-    assert planned.observation is not None
+    assert isinstance(planned.subject, ObservationPlan)
     print_status(f"asking {config.name} what runs there")
     with linked(config, args.target.parent) as link:
         # It makes the work folder where there is none.
         inspection.inspect(link)
         scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
-        watched = observation.watch(link, scripts, planned.observation)
+        watched = observation.watch(link, scripts, planned.subject)
         graph = read_graph(link, scripts, watched.found)
     print_status("")
     _print_list(watched, graph)

@@ -57,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.plan.campaign import read_campaign, topology_path
     from rtrun.plan.run import blocks
     from rtrun.plan.selection import select
+    from rtrun.plan.topology.planning import TopologyPlan
     from rtrun.plan.topology.reading import read_topology
     from rtrun.report.topology_text import topology_lines
 
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(_as_data(campaign, runs, forecasts))
         return 0
-    if planned := runs[0].topology:
+    if isinstance(planned := runs[0].subject, TopologyPlan):
         given = topology_path(campaign, args.campaign)
         for line in topology_lines(planned, read_topology(given).remarks if given else ()):
             print_line(line)
@@ -96,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         f"about {duration(times['start_and_end_s'])} for set-up and for programs to start and end{restarting}"
     )
     if campaign.until and not is_foreseen:
-        deadlines = planned.deadlines if planned else campaign.deadlines
+        deadlines = planned.deadlines if isinstance(planned, TopologyPlan) else campaign.deadlines
         print_line(_observed_goal_line(campaign.until, deadlines))
     elif campaign.until:
         for line in _goal_lines(campaign.until, runs, forecasts, _prices_of_bursts(campaign.until, runs)):
@@ -272,8 +273,7 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
                 "variant": each.variant,
                 "kernel": each.kernel,
                 "trace": each.trace,
-                **({"observation": asdict(each.observation)} if each.observation else {}),
-                **({"topology": asdict(each.topology)} if each.topology else {}),
+                **({each.subject.word: asdict(each.subject)} if each.subject.makes_streams else {}),
                 "expected_s": each.expected_s,
                 "settle_s": each.settle_s,
             }

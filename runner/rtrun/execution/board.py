@@ -174,7 +174,7 @@ def _measure(
             if life.state is RunState.CLOSED:
                 record = read_record(folder)
                 # Of an observation that was cut off, what was seen is closed as a run.
-                if not run.observation or record.status is not RunStatus.INCOMPLETE or not attempts_left:
+                if not run.subject.is_observed or record.status is not RunStatus.INCOMPLETE or not attempts_left:
                     return record.status, record.reason
             if not attempts_left:
                 raise

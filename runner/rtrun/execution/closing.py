@@ -2,24 +2,20 @@
 
 import contextlib
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from datetime import datetime
-from pathlib import Path, PurePosixPath
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from rtfiles.untrusted import MIB, read_end
-from rtrun.execution import clock_record, download, observed_runs, stream_runs, topology_runs
-from rtrun.execution.middleware.known import SERVICES
-from rtrun.execution.middleware.service import Service
-from rtrun.execution.observation import ObservationResult, Onlooker
-from rtrun.execution.preparation import Prepared
+from rtrun.execution import clock_record, download, observed_runs, stream_runs
+from rtrun.execution.active_run import ActiveRun, Clock, RunEnd
+from rtrun.execution.observation import ObservationResult
 from rtrun.execution.resumption import Attempt
-from rtrun.execution.run_programs import RunPrograms
-from rtrun.flows.topology.tables import TopologyTables
+from rtrun.execution.subjects.known import subject_of
+from rtrun.execution.subjects.subject import Closing
 from rtrun.plan import suites
 from rtrun.plan.program import Exit
-from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.output import Record, SenderRecord
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, TargetFacts
@@ -29,7 +25,7 @@ from rtrun.targets.inspection import control_groups
 from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.inspection.control_groups import ControlGroup
 from rtrun.targets.inspection.platform import Platform
-from rtrun.targets.link import Interrupted, Link
+from rtrun.targets.link import Interrupted
 from rtrun.validity import baselines, requirements
 from rtrun.validity.outcome import RunOutcome, judge
 
@@ -37,65 +33,6 @@ from rtrun.validity.outcome import RunOutcome, judge
 CONSOLE_LIMIT_BYTES = 16 * MIB
 # Facts of a target that run.json takes from its state under the same names.
 STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor")
-
-Clock = Callable[[], datetime]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ActiveRun:
-    """One run, where it is measured and where it is kept."""
-
-    prepared: Prepared
-    campaign: str
-    run: Run
-    folder: Path
-    remote: PurePosixPath
-    programs: RunPrograms
-    token: str
-    onlooker: Onlooker
-
-    @property
-    def link(self) -> Link:
-        return self.prepared.link
-
-    @property
-    def service(self) -> Service | None:
-        """What its middleware needs beside the programs; None: nothing."""
-        return SERVICES.get(self.run.middleware)
-
-    @property
-    def measuring(self) -> list[str]:
-        """The names of the programs that measure: once they run, the target goes on by itself."""
-        return [] if self.run.observation else [program.name for program in self.programs.measuring]
-
-    @property
-    def starts_system(self) -> bool:
-        """Whether it starts the user's system, to observe it."""
-        return bool(self.run.observation and self.programs.of_suite)
-
-    @property
-    def setup(self) -> str | None:
-        """The shell file that sets up what its programs need."""
-        if self.starts_system:
-            return self.prepared.setup or self.link.target.setup
-        return self.prepared.setup_of(self.run.middleware)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunEnd:
-    """How a run ended on the target."""
-
-    failure: str | None
-    """Why the measuring programs were not started, or were ended, if so."""
-    exits: Sequence[Exit]
-    ended_early: Mapping[str, str]
-    """Background programs that ended before the suite, name to exit status."""
-    service: str
-    """The identity of what its middleware needs; empty: it needs nothing, or that has died."""
-    after: inspection.TargetState
-    """State of the target."""
-    files: Mapping[str, int]
-    """What the run has left in its folder on the target, name to size in bytes."""
 
 
 def close(
@@ -117,7 +54,7 @@ def close(
         observed_runs.free_first_half(work.folder)
     with contextlib.ExitStack() as stack:
         place = work.folder
-        if run.observation is not None or run.topology is not None:
+        if run.subject.makes_streams:
             # Its streams are runs, too, and get their places together with it.
             staged = stack.enter_context(run_directory.all_or_none(place.parent, place.name))
             stream_runs.put_aside(place)
@@ -131,17 +68,16 @@ def close(
             refused = dict.fromkeys(end.files, f"not taken: {error}")
             troubles = [*troubles, str(error)]
         verdict = _judge(work, partial, attempt, end, refused)
-        tables: TopologyTables | str = ""
-        if run.topology is not None and verdict.status is RunStatus.OK:
-            tables = topology_runs.read_run(partial, run, run.topology.topology)
-            if isinstance(tables, str):
-                verdict = replace(verdict, status=RunStatus.INVALID, reason=tables, unrelated_end=None)
         record = _record(work, partial, attempt, end, refused, verdict, now)
-        if observed is not None:
-            free = run_directory.room_of(work.folder)
-            record = observed_runs.write(partial, place, run, record, attempt.before, observed, free, troubles)
-        if run.topology is not None and not isinstance(tables, str):
-            record = topology_runs.write(partial, place, run.topology, record, attempt.before, tables)
+        closing = Closing(
+            work=work,
+            partial=partial,
+            place=place,
+            before=attempt.before,
+            observed=observed,
+            troubles=troubles,
+        )
+        record = subject_of(run).close(closing, record)
         run_directory.close(partial, place, record)
     return record
 
@@ -160,12 +96,11 @@ def _download(work: ActiveRun, partial: Path, attempt: Attempt, end: RunEnd) -> 
 
 
 def _judge(work: ActiveRun, partial: Path, attempt: Attempt, end: RunEnd, refused: Mapping[str, str]) -> RunOutcome:
-    is_of_suite = work.run.observation is None
     verdict = judge(
         partial,
         work.run,
-        work.programs.of_suite if is_of_suite else (),
-        end.exits if is_of_suite else (),
+        work.programs.of_suite,
+        end.exits if work.programs.of_suite else (),
         work.programs.outputs,
         refused=refused,
         background=work.programs.background,
@@ -206,7 +141,7 @@ def _program_record(
 def _built_with(work: ActiveRun) -> dict[str, Any]:
     """The fact of the target that tells what the suites were built with, where they were built there."""
     built = f"{work.link.target.work_dir / building.BUILT}/"
-    used = any(program.argv[0].startswith(built) for program in work.programs.of_suite)
+    used = any(program.argv[0].startswith(built) for program in work.programs.foreground)
     return {"suites_built_with": dict(work.prepared.equipment.built_with)} if used else {}
 
 
@@ -248,7 +183,7 @@ def _record(
         end_time=now().isoformat(),
         programs=[
             _program_record(partial, program.name, attempt.argv[program.name], exit_, verdict.heads.get(program.name))
-            for program, exit_ in zip(work.programs.of_suite, end.exits, strict=True)
+            for program, exit_ in zip(work.programs.foreground, end.exits, strict=True)
         ],
         outputs=outputs,
         refused=dict(refused),

@@ -216,7 +216,7 @@ def runs_left(group: Run, standing: Standing | None, measurements: int, boot_rou
     if standing is not None and standing.is_final:
         return 0
     if standing is None or verdict is None or not verdict.n:
-        return None if group.observation or group.topology else rounds_for(group, measurements)
+        return None if group.subject.makes_streams else rounds_for(group, measurements)
     if verdict.change is not None:
         return None
     likely = verdict.further_likely[1] if verdict.further_likely else None

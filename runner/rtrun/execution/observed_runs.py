@@ -12,6 +12,7 @@ from rtrun.execution.observation import ObservationResult
 from rtrun.execution.stream_runs import StreamFacts, write_streams
 from rtrun.flows.hazards import hazards
 from rtrun.flows.streams import streams
+from rtrun.plan.observation import ObservationPlan
 from rtrun.plan.run import UNTRACED, Run
 from rtrun.plan.suites import Value
 from rtrun.probes.hits import ObservedProgram
@@ -43,8 +44,8 @@ def write(
     tells what it has not seen. `state` is that of the target, `room` is freed for the observation's own files,
     `troubles` came after it was observed. Raises InfrastructureError where not even that can be written.
     """
-    assert run.observation is not None
-    deadlines = run.observation.deadlines
+    assert isinstance(run.subject, ObservationPlan)
+    deadlines = run.subject.deadlines
     record = record.model_copy(
         update={
             "programs": [*record.programs, *map(_program, result.programs)],

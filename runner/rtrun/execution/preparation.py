@@ -12,6 +12,7 @@ from rtrun.plan import conditions, suites
 from rtrun.plan.campaign import Variant
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.run import Run
+from rtrun.plan.topology.planning import TopologyPlan
 from rtrun.targets import deploy
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import facts as inspection
@@ -146,7 +147,7 @@ def prepared(
 
 def _needs_suites(run: Run) -> bool:
     """Whether a run uses programs of the suites: its own, a load's, or the sampler."""
-    observes_alone = run.observation is not None and bool(run.settings.get(conditions.SAMPLER))
+    observes_alone = run.subject.is_observed and bool(run.settings.get(conditions.SAMPLER))
     return not observes_alone or bool(conditions.suites_programs(run.condition))
 
 
@@ -164,7 +165,8 @@ def _deploy_suites(link: Link, folder: Path) -> dict[str, str]:
 def _highest_priority(runs: Sequence[Run]) -> int:
     """Return the highest real-time priority that runs ask for; 0 when none does."""
     priorities = [int(run.parameters["priority"] or 0) for run in runs if suites.is_real_time(run.parameters)]
-    priorities += [each.priority for run in runs if run.topology for each in run.topology.topology.executors]
+    graphs = [run.subject.topology for run in runs if isinstance(run.subject, TopologyPlan)]
+    priorities += [each.priority for graph in graphs for each in graph.executors]
     return max(priorities, default=0)
 
 

@@ -4,23 +4,22 @@ import contextlib
 import secrets
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtfiles.interruption import deferred
 from rtfiles.quantities import duration
-from rtrun.execution import download, observation, observed_runs, resumption, system
-from rtrun.execution.closing import ActiveRun, Clock, RunEnd, close
-from rtrun.execution.observation import KEPT_FIRST, NOBODY, ObservationResult, Onlooker, defect_in_words
+from rtrun.execution import download, observed_runs, resumption, system
+from rtrun.execution.active_run import ActiveRun, Clock, RunEnd
+from rtrun.execution.closing import close
+from rtrun.execution.observation import NOBODY, Onlooker
+from rtrun.execution.planned_programs import programs_of
 from rtrun.execution.preparation import Prepared
 from rtrun.execution.resumption import Attempt, Leftovers
-from rtrun.execution.run_programs import programs_of
+from rtrun.execution.subjects.known import subject_of
+from rtrun.execution.subjects.subject import Aftermath, MeasuringEnd
 from rtrun.plan import conditions
-from rtrun.plan.program import Exit, Program
-from rtrun.plan.run import UNTRACED, Run
+from rtrun.plan.run import Run
 from rtrun.results import run_directory
 from rtrun.results.journal import KEPT
 from rtrun.results.record import RunRecord, moment
@@ -29,11 +28,8 @@ from rtrun.targets import processes
 from rtrun.targets.connection import parse_listing
 from rtrun.targets.errors import DeadlineExpired, TargetError
 from rtrun.targets.inspection import facts as inspection
-from rtrun.targets.link import OUT_OF_REACH, TargetRebooted
+from rtrun.targets.link import OUT_OF_REACH
 
-SUBSCRIBED_S = 60.0
-# The target ends a program at its deadline; the runner waits this much longer for that.
-END_GRACE_S = 60.0
 # Who interrupts a run after this share of the time that it should take, and so much more, may do it because it hangs.
 HUNG_FACTOR = 2
 HUNG_EXTRA_S = 10.0
@@ -72,56 +68,6 @@ def why_given_up(state: RunState, error: BaseException, taken_s: float, total_s:
     return GivenUp.INTERRUPTED if is_interrupted else f"{GivenUp.NOT_MEASURED}: {error}"
 
 
-@dataclass(slots=True, kw_only=True)
-class _Aftermath:
-    """What comes after something was observed, which is kept first, whatever comes."""
-
-    observed: ObservationResult | None = None
-    """None: nothing is observed, and whatever comes is raised at once."""
-    is_attended: bool = False
-    troubles: list[str] = field(default_factory=list)
-    """With the target."""
-    cut_off: BaseException | None = None
-    """What ends more than this run: raised once it is kept."""
-
-    def deferring(self) -> AbstractContextManager[None]:
-        """Where something was observed, let the first Ctrl-C wait for the end of the context."""
-        return deferred(KEPT_FIRST) if self.observed else contextlib.nullcontext()
-
-    @contextlib.contextmanager
-    def keeping(self) -> Iterator[None]:
-        """Note trouble, Ctrl-C or a defect of ours instead of raising it."""
-        try:
-            with self.deferring():
-                yield
-        except KeyboardInterrupt as error:
-            if self.observed is None:
-                raise
-            self.cut_off = error
-        except InfrastructureError as error:
-            if self.observed is None:
-                raise
-            self.troubles.append(str(error))
-            # Who sits before it has seen that, and waits for nothing more.
-            if isinstance(error, TargetRebooted) and not self.is_attended:
-                self.cut_off = self.cut_off or error
-        except Exception as error:
-            if self.observed is None:
-                raise
-            self.troubles.append(defect_in_words(error))
-            self.cut_off = self.cut_off or error
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Measured:
-    """What came of the measuring: how the programs ended, why they were ended early, if so, the service then."""
-
-    exits: Sequence[Exit] = ()
-    failure: str | None = None
-    service: str = ""
-    aftermath: _Aftermath = field(default_factory=_Aftermath)
-
-
 def measure(
     prepared: Prepared,
     uid: str,
@@ -152,7 +98,7 @@ def measure(
         token=token,
         onlooker=onlooker,
     )
-    with observed_runs.room(folder) if run.observation else contextlib.nullcontext():
+    with observed_runs.room(folder) if run.subject.is_observed else contextlib.nullcontext():
         return _measure(work, life, now, may_be_begun=may_be_begun)
 
 
@@ -164,7 +110,7 @@ def _measure(work: ActiveRun, life: RunLife, now: Clock, *, may_be_begun: bool) 
             attempt, not_started = _start(work, life, now)
         else:
             begun = moment(attempt.start_time) or begun
-        measured = _observe(work, life, not_started, now) if run.observation else _wait(work, life)
+        measured = subject_of(run).wait(work, life, not_started, now)
     except (KeyboardInterrupt, InfrastructureError) as error:
         if must_give_up(life.state, error):
             # It is known what became of it, whoever is killed before all is ended there.
@@ -198,7 +144,7 @@ def _measure(work: ActiveRun, life: RunLife, now: Clock, *, may_be_begun: bool) 
     return record
 
 
-def _close(work: ActiveRun, attempt: Attempt, end: RunEnd, aftermath: _Aftermath, now: Clock) -> RunRecord:
+def _close(work: ActiveRun, attempt: Attempt, end: RunEnd, aftermath: Aftermath, now: Clock) -> RunRecord:
     """Close it. What was observed and cannot be kept where it was to be is kept in a new folder for temporary files."""
     try:
         return close(work, attempt, end, aftermath.observed, now, aftermath.troubles)
@@ -217,7 +163,8 @@ def _close(work: ActiveRun, attempt: Attempt, end: RunEnd, aftermath: _Aftermath
 def _resume(work: ActiveRun, life: RunLife) -> Attempt | None:
     """Return the attempt of an earlier call that can be picked up, or make room for a new one and return None."""
     others = [*work.programs.load_names, *work.programs.other_names]
-    leftovers = resumption.inspect_leftovers(work.link, work.remote, work.programs.suite_names, others)
+    foreground = [program.name for program in work.programs.foreground]
+    leftovers = resumption.inspect_leftovers(work.link, work.remote, foreground, others)
     if leftovers.can_be_picked_up(work.measuring, run_directory.closing_record(work.folder)):
         life.move(RunEvent.PICK_UP)
         return leftovers.attempt
@@ -237,14 +184,14 @@ def _resume(work: ActiveRun, life: RunLife) -> Attempt | None:
 
 def _why_left(work: ActiveRun, leftovers: Leftovers) -> str:
     """What the journal says of an attempt that is not picked up; one of programs that ran already left nothing."""
-    if work.run.observation is None and leftovers.started.isdisjoint(work.measuring):
+    if work.measuring and leftovers.started.isdisjoint(work.measuring):
         return GivenUp.NOT_MEASURED
     return f"{GivenUp.LEFT}: {leftovers.unreadable}" if leftovers.unreadable else GivenUp.LEFT
 
 
 def _give_up(work: ActiveRun) -> None:
     """End all that runs of it, and remove its folder on the target."""
-    if work.starts_system:
+    if work.programs.system is not None:
         system.end(work.link, work.remote)
     processes.give_up(work.link, work.remote, work.programs.names)
 
@@ -267,32 +214,18 @@ def _start(work: ActiveRun, life: RunLife, now: Clock) -> tuple[Attempt, str | N
     """
     life.move(RunEvent.BEGIN)
     attempt = _begin(work, now)
-    not_started = _start_system(work) if work.run.observation else None
-    if work.programs.background and not_started is None:
-        _start_background(work)
-    if work.run.observation is None:
-        not_started = _start_suite(work, life)
-        life.move(RunEvent.START)
+
+    def start_background() -> None:
+        if work.programs.background:
+            _start_background(work)
+
+    not_started = subject_of(work.run).start(work, life, start_background)
     return attempt, not_started
-
-
-def _start_system(work: ActiveRun) -> str | None:
-    """Start the user's system where the run names one, and wait until it is ready; return why it is not."""
-    assert work.run.observation is not None
-    link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
-    if work.starts_system:
-        processes.start(link, scripts, work.remote, *work.programs.of_suite, setup=work.setup)
-    # After a restart of the target it may still come up; who sits before it knows.
-    is_at_once = work.onlooker.is_attended and not work.starts_system
-    not_ready = system.wait_ready(link, scripts, work.remote, plan, deadline_s=0.0 if is_at_once else system.READY_S)
-    if not_ready and is_at_once:
-        raise TargetError(f"{link.target.address}: {not_ready}")
-    return not_ready
 
 
 def _begin(work: ActiveRun, now: Clock) -> Attempt:
     start_time = now()
-    service = _service(work)
+    service = work.service_identity()
     if work.service and not service:
         raise TargetError(f"{work.link.target.address}: {work.service.name} died")
     state_script = work.prepared.scripts / "state.sh"
@@ -305,18 +238,13 @@ def _begin(work: ActiveRun, now: Clock) -> Attempt:
         start_time=start_time.isoformat(),
         service=service,
         own_service=work.run.middleware in work.prepared.own_services,
-        argv={program.name: program.argv for program in work.programs.of_suite},
+        argv={program.name: program.argv for program in work.programs.foreground},
         state_script=state_script,
     )
     for name, text in work.programs.texts.items():
         words = [str(work.remote / name), str(len(text.encode()))]
         work.link.check(["sh", "-c", _PUT, "sh", *words], stdin=text)
     return attempt
-
-
-def _service(work: ActiveRun) -> str:
-    """The identity of what the middleware of the run needs; empty: it needs nothing, or that does not run."""
-    return (work.service.identity(work.link) if work.service else None) or ""
 
 
 def _start_background(work: ActiveRun) -> None:
@@ -331,106 +259,7 @@ def _start_background(work: ActiveRun) -> None:
         raise TargetError(f"{link.target.address}: condition {work.run.condition}: {name} does not run: {reason}")
 
 
-def _start_suite(work: ActiveRun, life: RunLife) -> str | None:
-    """Start the sampler, then the suite's programs stage by stage, each when those before it are ready.
-
-    Return why the rest was not started: a program that it needs has ended.
-    """
-    link, remote = work.link, work.remote
-    first, *later = work.programs.stages
-
-    def start(*programs: Program, stage: Sequence[Program]) -> None:
-        if stage is work.programs.measuring:
-            life.move(RunEvent.LAUNCH)
-        processes.start(link, work.prepared.scripts, remote, *programs, setup=work.setup)
-
-    start(*([work.programs.sampler] if work.programs.sampler else []), *first, stage=first)
-    for stage in later:
-        names = [program.name for program in work.programs.awaited]
-        _wait_ready(work, names)
-        if ended := processes.list_ended(link, remote, names):
-            # The run has failed. What publishes would not notice, and take as long as if all were there.
-            processes.end(link, remote, *names)
-            return f"{ended[0]} ended before {stage[0].name} was started: {_last_word(work, ended[0])}"
-        start(*stage, stage=stage)
-    return None
-
-
-def _wait_ready(work: ActiveRun, names: Sequence[str]) -> None:
-    """Wait until these programs of the suite are ready, or one of them has ended.
-
-    Without a service nobody but the programs themselves knows: they wait for one another.
-    """
-    service, link = work.service, work.link
-    if service is not None:
-        processes.wait_until(
-            lambda: (
-                service.count_subscribers(link, work.token) >= len(names)
-                or bool(processes.list_ended(link, work.remote, names))
-            ),
-            deadline_s=SUBSCRIBED_S,
-            what=f"{link.target.address}: {len(names)} subscribers to register with {service.name}",
-        )
-
-
-def _last_word(work: ActiveRun, name: str) -> str:
-    return processes.read_last_line(work.link, work.remote / f"{name}.stderr") or "it said nothing"
-
-
-def _observe(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) -> _Measured:
-    """Observe what the run is about, then end the user's system where the run has started it."""
-    assert work.run.observation is not None
-    link, scripts, plan = work.link, work.prepared.scripts, work.run.observation
-    life.move(RunEvent.OBSERVE)
-    aftermath, failure = _Aftermath(is_attended=work.onlooker.is_attended), None
-    if not_started is None:
-        if work.programs.sampler:
-            processes.start(link, scripts, work.remote, work.programs.sampler)
-        trace = "" if work.run.trace == UNTRACED else work.run.trace
-        watched = observation.watch(link, scripts, plan, trace=trace)
-        observed = observation.observe(
-            link, scripts, watched, plan, trace=trace, onlooker=work.onlooker, now=now, folder=work.folder.parent
-        )
-        aftermath.observed, aftermath.cut_off = observed, observed.cut_off
-        work.onlooker.on_end(observed)
-        with aftermath.keeping():
-            if work.starts_system and (ended := system.end_of(link, work.remote)):
-                failure = f"the system ended while it was observed, {ended}"
-    exits = [Exit(status=None, expired=False) for _ in work.programs.of_suite]
-    with aftermath.keeping():
-        if work.starts_system:
-            exits = [system.end(link, work.remote)]
-    with aftermath.keeping():
-        life.move(RunEvent.END)
-    return _Measured(exits=exits, failure=failure, aftermath=aftermath)
-
-
-def _wait(work: ActiveRun, life: RunLife) -> _Measured:
-    """Wait for the programs of the suite."""
-    link, failure = work.link, None
-    awaited = [program.name for program in work.programs.awaited]
-    exits = []
-    for program in work.programs.of_suite:
-        needed = [] if failure or program.name in awaited else awaited
-        if work.programs.need_one_another and not failure:
-            needed = [name for name in work.programs.suite_names if name != program.name]
-        deadline_s = program.deadline_s + END_GRACE_S
-        ended = processes.wait(link, work.remote, program.name, deadline_s=deadline_s, needed=needed)
-        if isinstance(ended, processes.NeededFailed):
-            # As when it fails before: what publishes would go on for as long as if it were there.
-            failure = f"{ended.name} ended while {program.name} was running: {_last_word(work, ended.name)}"
-            processes.end(link, work.remote, *work.programs.suite_names)
-            ended = processes.wait(link, work.remote, program.name, deadline_s=deadline_s)
-        exits.append(ended)
-        if failure is None and program.name not in awaited and exits[-1].status != 0:
-            # What it sends to may never have seen it, and would wait until its own deadline.
-            processes.end(link, work.remote, *awaited)
-    service = _service(work)
-    life.move(RunEvent.END)
-    return _Measured(exits=exits, failure=failure, service=service)
-
-
-def _end_background(work: ActiveRun, measured: _Measured, not_started: str | None) -> RunEnd:
+def _end_background(work: ActiveRun, measured: MeasuringEnd, not_started: str | None) -> RunEnd:
     failure = not_started or measured.failure
     limits, state_script = work.programs.file_limits, work.prepared.scripts / "state.sh"
     if not work.programs.names:
@@ -439,12 +268,12 @@ def _end_background(work: ActiveRun, measured: _Measured, not_started: str | Non
     ended = processes.end_background(
         work.link,
         work.remote,
-        [] if work.run.observation else work.programs.suite_names,
+        work.programs.suite_names,
         work.programs.load_names,
         work.programs.other_names,
         service=measured.service,
         # Of what is observed nobody else tells when it is over: the end of the loads must not be seen.
-        first=[work.programs.sampler.name] if work.run.observation and work.programs.sampler else [],
+        first=[work.programs.sampler.name] if work.programs.sampler and not work.programs.of_suite else [],
         then=[["sh", str(state_script)], ["echo", _FILES], download.listing(work.remote, limits)],
     )
     state, _, listed = ended.output.partition(f"{_FILES}\n")

@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtrun.execution.download import JSON_LIMIT_BYTES, NPY_HEADER_BYTES
 from rtrun.execution.preparation import Prepared
+from rtrun.execution.run_programs import SubjectPrograms
 from rtrun.execution.stream_runs import StreamFacts, write_streams
 from rtrun.flows.topology.chains import Spans, Stage, ages, origins, reactions, stages
 from rtrun.flows.topology.fates import fates
@@ -51,15 +51,6 @@ _THREAD_NAME_MAX = 15
 _POLICIES = {"0": "OTHER"}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TopologyPrograms:
-    """The programs of a topology, the texts that they read, by file, and the files that they may write, as of a run."""
-
-    programs: tuple[Program, ...]
-    texts: Mapping[str, str]
-    file_limits: Mapping[str, int]
-
-
 def topology_programs(
     prepared: Prepared,
     run: Run,
@@ -67,7 +58,7 @@ def topology_programs(
     remote: PurePosixPath,
     environment: tuple[tuple[str, str], ...],
     deadline_s: float,
-) -> TopologyPrograms:
+) -> SubjectPrograms:
     """A program for each process of the topology of a run, in its folder `remote` on the target."""
     path = prepared.programs[suites.executable(run.suite, PROGRAM, run.parameters)]
     texts = {f"{host_name(name)}.topology": process_text(plan, name) for name in plan.topology.processes}
@@ -80,7 +71,13 @@ def topology_programs(
         )
         for name in plan.topology.processes
     )
-    return TopologyPrograms(programs=programs, texts=texts, file_limits=_file_limits(plan))
+    return SubjectPrograms(
+        deadline_s=deadline_s,
+        stages=(programs,),
+        texts=texts,
+        file_limits=_file_limits(plan),
+        need_one_another=True,
+    )
 
 
 def _file_limits(plan: TopologyPlan) -> dict[str, int]:

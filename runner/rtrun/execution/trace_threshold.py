@@ -15,7 +15,7 @@ from rtrun.results.record import RunStatus, read_record
 def with_threshold_of_warm_up(run: Run, results: Path) -> Run:
     """The run with its threshold, or as it is where its limit needs no warm-up. Raises UsageError without a warm-up."""
     part = quantile(run.trace)
-    if part is None or run.observation is not None:
+    if part is None or run.subject.is_observed:
         return run
     allowed = options()[PARAMETER]
     threshold_us = round(_quantile_ns(results / f"{run.name}{WARM_UP}", part) / 1000)

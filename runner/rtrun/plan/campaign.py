@@ -26,6 +26,7 @@ from rtrun.plan.observation import (
     read_subject,
 )
 from rtrun.plan.run import KernelName, Run, interleave, label, never_observed, order_by_kernel
+from rtrun.plan.subject import SUITE_PROGRAMS
 from rtrun.plan.topology.others import OTHER_NODES
 from rtrun.plan.topology.planning import SUITE as TOPOLOGY
 from rtrun.plan.topology.planning import plan_topology
@@ -175,7 +176,7 @@ def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = No
         listed = [
             replace(
                 run,
-                topology=planned.beside(str(run.parameters[OTHER_NODES])),
+                subject=planned.beside(str(run.parameters[OTHER_NODES])),
                 parameters=of_topology | dict(run.parameters),
             )
             for run in listed
@@ -287,7 +288,7 @@ def _combinations(
             condition=condition,
             settings=taken,
             trace=trace,
-            observation=observation,
+            subject=observation or SUITE_PROGRAMS,
         )
         for repeat in range(1, int(repeats[0] or 1) + 1):
             yield from traced(replace(run, repeat=repeat))

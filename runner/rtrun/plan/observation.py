@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from rtfiles.wording import did_you_mean, unknown
 from rtrun.kinds.kind import StreamKind
@@ -131,6 +131,10 @@ def read_subject(value: object) -> ObservedSystem:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObservationPlan:
     """How long to observe, in seconds, of what, and what for; the paths of deadlines are followed, too."""
+
+    word: ClassVar[str] = "observation"
+    is_observed: ClassVar[bool] = True
+    makes_streams: ClassVar[bool] = True
 
     for_s: float
     system: ObservedSystem = ObservedSystem()

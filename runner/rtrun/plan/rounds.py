@@ -52,7 +52,7 @@ def rounds_of_boot(groups: Sequence[Run], measurements: Mapping[str, int], boots
     At least 1: where fewer rounds than boots would do, each round is on a boot of its own. So it is where nobody knows
     how much a run will observe.
     """
-    if any(group.observation or group.topology for group in groups):
+    if any(group.subject.makes_streams for group in groups):
         return 1
     return max(1, max(rounds_for(group, measurements[group.name]) for group in groups) // boots)
 

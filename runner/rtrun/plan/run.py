@@ -11,7 +11,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
 from rtrun.plan import conditions, suites
-from rtrun.plan.observation import ObservationPlan
+from rtrun.plan.subject import SUITE_PROGRAMS, Subject, SuitePrograms
 from rtrun.plan.topology.others import OTHER_NODES
 from rtrun.plan.topology.planning import TopologyPlan
 
@@ -45,8 +45,7 @@ class Run:
     `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
     empty and `kernel` None in a campaign that names none; `variant_of` are the programs of the variant as the campaign
     names them. `trace` is the limit above which it keeps traces as the campaign has it (plan/trace.py), `UNTRACED` for
-    the twin of such a run, and empty where no traces are asked for. `observation` is what a run observes, `topology`
-    the graph of nodes that it starts; None, both: the programs of its suite measure.
+    the twin of such a run, and empty where no traces are asked for. `subject` is whose programs it measures.
     """
 
     name: str
@@ -60,8 +59,7 @@ class Run:
     variant_of: tuple[str, ...] = ()
     kernel: KernelName | None = None
     trace: str = ""
-    observation: ObservationPlan | None = None
-    topology: TopologyPlan | None = None
+    subject: Subject = SUITE_PROGRAMS
 
     @property
     def middleware(self) -> str:
@@ -100,8 +98,8 @@ class Run:
 
     def _measuring_s(self, cost_s: float) -> float:
         """How long the measuring takes, in seconds, where `cost_s` comes on top of a timeout, and no period is less."""
-        if of_streams := self.observation or self.topology:
-            return of_streams.for_s
+        if not isinstance(self.subject, SuitePrograms):
+            return self.subject.for_s
         number = {key: value for key, value in self.parameters.items() if isinstance(value, int)}
         if "duration_s" in number:
             return float(number["duration_s"])
@@ -185,7 +183,8 @@ def _canonical(run: Run) -> dict[str, Any]:
         value = getattr(run, each.name)
         default = each.default_factory() if each.default_factory is not MISSING else each.default
         if value != default:
-            form[each.name] = dict(value) if isinstance(value, Mapping) else _plain(value)
+            name = run.subject.word if each.name == "subject" else each.name
+            form[name] = dict(value) if isinstance(value, Mapping) else _plain(value)
     form["parameters"] = _without_defaults(run.parameters, suites.defaults_of(run.suite))
     settings = {key: option.default for key, option in conditions.conditions().settings.items()}
     form["settings"] = _without_defaults(run.settings, settings)
@@ -231,7 +230,8 @@ def label(run: Run) -> str:
     """What tells a run from the others of its campaign, for its name."""
     subscribers = run.parameters.get("subscribers")
     words = [suites.output_name(run.suite, run.parameters), *([f"{subscribers}sub"] if subscribers else [])]
-    words += [run.topology.topology.name, *str(run.parameters.get(OTHER_NODES) or "").split()] if run.topology else []
+    if isinstance(run.subject, TopologyPlan):
+        words += [run.subject.topology.name, *str(run.parameters.get(OTHER_NODES) or "").split()]
     words += [run.middleware] if run.middleware != suites.suite(run.suite).middleware else []
     words += [run.condition] if run.condition != conditions.IDLE else []
     settings = conditions.conditions().settings

@@ -64,7 +64,7 @@ def traced(run: Run) -> tuple[Run, ...]:
     """
     if not run.trace:
         return (run,)
-    if run.observation is not None:
+    if run.subject.is_observed:
         # It finds its limit while it lasts.
         pair = (replace(run, trace=UNTRACED), run)
         return pair if run.repeat % 2 else pair[::-1]
@@ -81,7 +81,7 @@ def with_threshold(run: Run, threshold_us: Value) -> Run:
 def with_warm_ups(runs: Iterable[Run]) -> Iterator[Run]:
     """Yield the runs in their order, before each whose limit is a quantile its warm-up, `<name>.warm-up`."""
     for run in runs:
-        if quantile(run.trace) is not None and run.observation is None:
+        if quantile(run.trace) is not None and not run.subject.is_observed:
             yield _warm_up(run)
         yield run
 
@@ -96,7 +96,7 @@ def _warm_up(run: Run) -> Run:
 
 def too_few(run: Run) -> str | None:
     """Say why a run is too short for its quantile, or None."""
-    if quantile(run.trace) is None or run.observation is not None or _repetitions(run) * _above(run) >= 1:
+    if quantile(run.trace) is None or run.subject.is_observed or _repetitions(run) * _above(run) >= 1:
         return None
     return (
         f"{run.suite} measures {_repetitions(run)} values; none is expected above {run.trace}: "

@@ -66,7 +66,7 @@ def judge(
     """
     records: Mapping[str, Record] = {}
     observations: list[Observation] = []
-    is_attached = run.observation is not None
+    is_attached = run.subject.is_observed
     reason: str | None
     unrelated_end: UnrelatedEnd | None = None
     status, reason = _of_programs(folder, programs, exits) or (RunStatus.OK, None)

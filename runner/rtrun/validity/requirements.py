@@ -70,7 +70,7 @@ def find_violation(
 ) -> str | None:
     """Say what was not in effect as asked for, the first such thing, or None. `records` by output."""
     asked = requested(run, background)
-    seen = while_measuring(observations, is_attached=run.observation is not None)
+    seen = while_measuring(observations, is_attached=run.subject.is_observed)
     return (
         _wrong_threads(run, asked, observations, records)
         or _wrong_facts(run, records)

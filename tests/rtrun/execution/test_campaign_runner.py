@@ -19,8 +19,9 @@ from faulty import measure, record, runs_of, write_files
 from conftest import seeing, serve
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.cli import main
-from rtrun.execution import campaign_runner, preparation, run_programs
+from rtrun.execution import campaign_runner, preparation
 from rtrun.execution.middleware import roscpp
+from rtrun.execution.subjects import suite
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.reading import read_run
 from rtrun.targets.errors import TargetError, TargetGone
@@ -171,7 +172,7 @@ def test_an_option_that_programs_of_2014_ignore_makes_the_run_invalid(target, tm
 
 
 def test_a_suite_that_hangs_is_ended_by_the_target(target, tmp_path, watching, wishes, monkeypatch):
-    monkeypatch.setattr(run_programs, "DEADLINE_EXTRA_S", 8.0)
+    monkeypatch.setattr(suite, "DEADLINE_EXTRA_S", 8.0)
     wishes.will("sleep 300")
     statuses = measure(target, runs_of(2), tmp_path / "results", watching)
     assert statuses == ["failed", "ok"]

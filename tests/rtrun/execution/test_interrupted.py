@@ -13,9 +13,10 @@ import faulty
 import pytest
 from faulty import lost, record, runs_of
 
-from rtrun.execution import board, campaign_runner, resumption, run_execution, run_programs
+from rtrun.execution import board, campaign_runner, planned_programs, resumption, run_execution
 from rtrun.execution.middleware import roscpp
 from rtrun.execution.middleware.known import SERVICES
+from rtrun.execution.subjects import suite
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.program import Program
 from rtrun.results import run_directory
@@ -237,7 +238,7 @@ def test_a_publisher_does_not_go_on_without_its_subscriber(
 def test_before_the_suite_was_started(target, tmp_path, wishes, measure, interrupt):
     """Nothing measured yet: it begins anew, with the state of the target that it then finds."""
     runs = runs_of(1)
-    interrupt(target, runs, stop, Stop, module=run_execution, name="_start_suite")
+    interrupt(target, runs, stop, Stop, module=suite, name="start")
     (attempt_file,) = Path(target.work_dir).glob("runs/*/*/attempt.json")
     uid = json.loads(attempt_file.read_text())["uid"]
     assert measure(target, runs) == ["ok"]
@@ -265,8 +266,8 @@ def test_what_goes_on_comes_first(target, tmp_path, wishes, measure, interrupt):
 
 def test_a_load_that_ended_while_nobody_looked(target, wishes, monkeypatch, measure, interrupt):
     """It outlived the suite: the run is whole."""
-    monkeypatch.setattr(run_programs, "DEADLINE_EXTRA_S", 8.0)
-    monkeypatch.setattr(run_programs.conditions, "OUTLIVE_S", 1.0)
+    monkeypatch.setattr(suite, "DEADLINE_EXTRA_S", 8.0)
+    monkeypatch.setattr(planned_programs.conditions, "OUTLIVE_S", 1.0)
     wishes.will("sleep 3")
     runs = runs_of(1, condition="io", repetitions=100)
     interrupt(target, runs, stop, Stop)

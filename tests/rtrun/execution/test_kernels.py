@@ -9,7 +9,8 @@ from faulty import measure, record
 
 from conftest import BOOT_ID, seeing, serve
 from rtfiles.errors import UsageError
-from rtrun.execution import preparation, run_execution
+from rtrun.execution import preparation
+from rtrun.execution.subjects import suite
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.targets.address import ThisMachine
 from rtrun.targets.errors import TargetError
@@ -129,15 +130,15 @@ def test_a_run_that_still_measures_is_picked_up_before_the_target_is_restarted(t
     class Killed(Exception):
         """Nothing is cleaned up, as when the runner is killed."""
 
-    real = run_execution._wait
+    real = suite.wait
 
-    def killed(work, life):
+    def killed(work, *more):
         if work.run.kernel == "rt":
             raise Killed
-        return real(work, life)
+        return real(work, *more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_execution, "_wait", killed)
+        patch.setattr(suite, "wait", killed)
         with pytest.raises(Killed):
             measure(target, runs, tmp_path / "results")
     assert board.boots == ["standard", "rt"]

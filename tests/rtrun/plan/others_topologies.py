@@ -29,6 +29,6 @@ def test_every_publisher_and_subscription_of_the_file_stands_in_the_topology_onc
     assert len(topology.executors) == len({node.get("executor_id", 0) for node in theirs})
     assert drawn(topology) == arrows(topology)
     _, runs = read_campaign(write(tmp_path, CAMPAIGN.format(path) + RUNS, "campaign.yml"))
-    lines = process_text(runs[0].topology, name).splitlines()
+    lines = process_text(runs[0].subject, name).splitlines()
     assert sum(line.startswith("node ") for line in lines) == len(topology.nodes)
     assert sum(line.startswith("in ") for line in lines) == sum(taken.values())

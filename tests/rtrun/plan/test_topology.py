@@ -59,7 +59,7 @@ def test_a_process_is_told_its_part_in_lines_of_words(tmp_path):
         "003-topology-braking-rcl",
         "004-topology-braking-rcl-cpu80",
     ]
-    plan = runs[0].topology
+    plan = runs[0].subject
     assert plan.topology.processes == ("lidar", "imu", "detect", "brain", "brake")
     assert process_text(plan, "brain").splitlines() == [
         "topology 1",
@@ -90,7 +90,7 @@ def test_deadlines_of_the_file_and_of_the_campaign_are_those_of_the_run(tmp_path
     further = "deadlines: ['timer:/control=1ms', 'age:/imu,/state=7ms', /imu=2ms, 'response:/control=2ms']\n"
     further += "paths: ['/imu,/state,/cmd']\n"
     _, runs = read_campaign(campaign(tmp_path, further + RUNS))
-    plan = runs[0].topology
+    plan = runs[0].subject
     assert [each.text for each in plan.deadlines] == [
         "response:/control=2000000ns",  # 5 ms in the topology
         "path:/points,/objects,/state,/cmd=120000000ns",
@@ -223,7 +223,7 @@ def test_a_graph_with_more_paths_than_can_be_looked_at_is_planned(tmp_path, sink
     said = capsys.readouterr().out
     assert ("no source leads to a sink" in said) == (not sink)
     assert bool(re.search(r"these are the longest of \d+ found from source to sink", said)) == bool(sink)
-    paths = read_campaign(path)[1][0].topology.paths
+    paths = read_campaign(path)[1][0].subject.paths
     assert len(paths) == (32 if sink else 0) and all(len({*one.nodes}) == len(one.nodes) for one in paths)
 
 

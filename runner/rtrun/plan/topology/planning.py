@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 from rtfiles.config import Place
 from rtfiles.output import listed
@@ -33,6 +33,10 @@ T = TypeVar("T")
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopologyPlan:
     """What a run of a topology measures: how long after the common start, which paths, what has which deadline."""
+
+    word: ClassVar[str] = "topology"
+    is_observed: ClassVar[bool] = False
+    makes_streams: ClassVar[bool] = True
 
     topology: Topology
     for_s: float

@@ -1,0 +1,1 @@
+"""The subjects of a run: the programs of a suite, programs that are observed, a graph of nodes."""
