@@ -1,4 +1,4 @@
-"""What counts as a miss: the one place that says it, and that nobody says it beside it."""
+"""What counts as a miss, and that one module alone decides it."""
 
 import re
 from pathlib import Path
