@@ -89,11 +89,6 @@ def compared(pair: tuple[Group, Group], confidence: float) -> Comparison | None:
     return None if comparison.answer == ComparisonAnswer.UNDECIDED else comparison
 
 
-def shift_of(comparison: Comparison, figure: str) -> Shift | None:
-    """The shift of one figure, None where the sets are too small for it."""
-    return next((shift for shift in comparison.shifts if shift.figure == figure), None)
-
-
 def describe_shift(shift: Shift, confidence: float) -> str:
     """A shift in words: from, to, and the interval."""
     return (

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from rtfiles.output import showing_progress
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
-from rtrun.plan.suites import kind_of
 from rtrun.targets.inspection.platform import Platform
 from rtrun.thesis import general, timers
 from rtrun.thesis.examination import ClaimResult, Finding
@@ -55,11 +54,6 @@ EXAMINERS: dict[str, Examiner] = {
     "single-cpu-shutdown-stuck": Examiner(examine=general.single_cpu_shutdown_stuck, functional=True),
     "default-priority-unpredictable": Examiner(examine=general.default_priority_unpredictable),
 }
-
-
-def bear_on_claims(study: Study) -> bool:
-    """Whether anything was measured that the claims are about: their suites, and no other program alone."""
-    return any(kind_of(group.suite) is not None for group in study.groups)
 
 
 def examine_claims(study: Study) -> tuple[Examined, ...]:
