@@ -2,16 +2,23 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
+from typing import cast
 
 from rtfiles.output import printable
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.flows.observed import callback, interval, messages, path, timer
 from rtrun.flows.observed.source import ObservedKind, StreamSource
 from rtrun.flows.values import Stream
 from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.known import STREAMS
 from rtrun.results.columns import NoRoom
 
-OBSERVED: tuple[ObservedKind, ...] = (messages, timer, callback, interval, path)
+# Each kind that probes see has a module by its word.
+OBSERVED = tuple(
+    cast("ObservedKind", import_module(f"rtrun.flows.observed.{word}"))
+    for word, kind in STREAMS.items()
+    if not kind.is_of_topologies
+)
 
 
 def streams(observed: FlowAccumulator) -> Iterator[Stream]:

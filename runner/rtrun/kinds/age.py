@@ -8,6 +8,8 @@ from rtrun.kinds.spans import series, times
 STREAM = StreamKind(
     word="age",
     suite="observed_ages",
+    summary="age of the data at the end of a path of topics",
+    columns=("begin_ns", "end_ns"),
     named_by="path",
     words=("{path}", "to {publisher}", "-> {sink}"),
     at="end_ns",

@@ -8,6 +8,8 @@ from rtrun.kinds.spans import series, times
 STREAM = StreamKind(
     word="callback",
     suite="observed_callbacks",
+    summary="how long callbacks take in programs that run already",
+    columns=("begin_ns", "end_ns"),
     named_by="node",
     words=("{callback}", "of {node}", "(thread {thread})"),
     usual={"thread": 1},

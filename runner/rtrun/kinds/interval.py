@@ -30,6 +30,8 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
 STREAM = StreamKind(
     word="interval",
     suite="observed_intervals",
+    summary="time between two messages of a topic",
+    columns=("timestamp_ns", "segment"),
     named_by="topic",
     words=("{topic}", "at {end}", "{node}"),
     at="timestamp_ns",

@@ -33,7 +33,8 @@ class LogForm:
 class StreamKind:
     """A kind of stream: values of one thing in programs that run already.
 
-    `word` stands before the name of one, and `suite` is its entry in observed.yml. A deadline names a stream by its
+    `word` stands before the name of one. A stream is written as a run of `suite`, which `summary` describes, with these
+    `columns`. A deadline names a stream by its
     parameter `named_by`; without a word where that `is_plain`.
 
     `words` are templates of what tells a stream from others, each left out where a parameter of it is missing.
@@ -52,6 +53,8 @@ class StreamKind:
 
     word: str
     suite: str
+    summary: str
+    columns: tuple[str, ...]
     named_by: str
     at: str
     words: tuple[str, ...]

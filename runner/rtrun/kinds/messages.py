@@ -65,6 +65,8 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
 STREAM = StreamKind(
     word="messages",
     suite="observed_messages",
+    summary="messages of programs that run already, from publication to reception",
+    columns=("publication_ns", "reception_ns", "seq", "callback_end_ns"),
     named_by="topic",
     is_plain=True,
     words=("{topic}", "{publisher}", "-> {subscriber}"),

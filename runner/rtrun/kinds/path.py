@@ -8,6 +8,8 @@ from rtrun.kinds.spans import series, times
 STREAM = StreamKind(
     word="path",
     suite="observed_paths",
+    summary="reaction time along a path of topics",
+    columns=("begin_ns", "end_ns"),
     named_by="path",
     is_plain=True,
     words=("{path}", "to {publisher}", "-> {sink}"),

@@ -8,6 +8,8 @@ from rtrun.kinds.spans import series, times
 STREAM = StreamKind(
     word="response",
     suite="observed_responses",
+    summary="how long after it was due a node of a topology has done its work",
+    columns=("begin_ns", "end_ns"),
     named_by="node",
     words=("of {node}",),
     at="end_ns",

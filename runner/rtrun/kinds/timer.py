@@ -65,6 +65,8 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
 STREAM = StreamKind(
     word="timer",
     suite="observed_timers",
+    summary="timers of programs that run already",
+    columns=("timestamp_ns", "expected_ns", "real_ns", "segment"),
     named_by="node",
     # Its name begins with what it is, and has its period.
     begins_with="timer",

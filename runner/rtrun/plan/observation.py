@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 SUITE = "observation"
-"""The suite of a run that observes; what it saw becomes runs of the other suites of observed.yml."""
+"""The suite of a run that observes; what it saw becomes runs of the suites of the kinds of streams."""
 ATTACHED = "attached"
 _TOPIC = "topic"
 _NO_SAMPLER = ("sampler", "none")

@@ -196,8 +196,20 @@ def baselines() -> Suites:
 
 @functools.cache
 def observed() -> Suites:
-    """What can be observed of programs that run already, read once."""
-    return load_own(OBSERVED_FILE, Suites)
+    """What makes streams, and the streams of each kind, read once."""
+    loaded = load_own(OBSERVED_FILE, Suites)
+    streams = {
+        kind.stream.suite: Suite(
+            summary=kind.stream.summary,
+            kind=name,
+            subject="attached",
+            measures=tuple(kind.called.values()),
+            columns=kind.stream.columns,
+        )
+        for name, kind in KINDS.items()
+        if kind.stream
+    }
+    return loaded.model_copy(update={"suites": loaded.suites | streams})
 
 
 @functools.cache

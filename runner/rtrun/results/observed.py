@@ -84,7 +84,7 @@ class TracedValue:
 class ObservedOutput:
     """One thing that was observed: a pair of publisher and subscriber, a timer, a callback, a topic, a path of topics.
 
-    `suite` is its entry in observed.yml, which names the `columns`, each int64 of shape (rows,). `parameters` tell it
+    `suite` is that of its kind, which names the `columns`, each int64 of shape (rows,). `parameters` tell it
     from every other stream of the target. `asked` is how many of its values should be there, as far as that is known,
     `measured` how many are, `missing` how many never came.
     """

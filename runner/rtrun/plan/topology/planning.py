@@ -17,7 +17,7 @@ from rtrun.plan.topology.rates import most_activations
 from rtrun.plan.topology.topology import NodePath, Topology
 
 SUITE = "topology"
-"""The suite of a run of a topology, whose streams are runs of those of observed.yml."""
+"""The suite of a run of a topology, whose streams are runs of the suites of their kinds."""
 PATHS_MAX = 32
 """So many paths are measured where nobody names any, the longest ones: each is a run directory for itself."""
 
