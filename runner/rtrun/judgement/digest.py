@@ -14,7 +14,7 @@ from rtrun.analysis.order.startup import Head, head_of, split
 from rtrun.analysis.scale import Floats, Scale, scale_of
 from rtrun.analysis.tails.extreme_values import Tail, tail_of
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
-from rtrun.kinds.known import MAIN_2014
+from rtrun.kinds.known import CLUSTERED, MAIN_2014
 from rtrun.kinds.values import Int64s
 from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance
 from rtrun.results.series import Header, HistogramSeries, Series
@@ -82,7 +82,7 @@ class Digest:
     @property
     def cluster(self) -> Cluster | None:
         """Its negative cluster; None: the series is not one that has such."""
-        return _cluster(self.histogram) if self.header.series in ("jitter", "grid") else None
+        return _cluster(self.histogram) if self.header.series in CLUSTERED else None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ from rtrun.analysis.comparison.layers import Attribution, attribute
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.kinds.known import KINDS
+from rtrun.kinds.lateness import JITTER
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.suites import is_real_time, kind_of, middleware_of, options, period_of, suite
 from rtrun.targets.inspection.platform import Platform
@@ -83,7 +84,7 @@ def differing_in_layer(groups: Sequence[Group]) -> list[tuple[Group, Group]]:
 
 def _is_layer_below(below: Group, above: Group) -> bool:
     kind = kind_of(above.suite)
-    if kind is None or above.of == "jitter" or below.of == "jitter":
+    if kind is None or JITTER in (above.of, below.of):
         return False
     over, under = (middleware_of(group.suite, group.parameters) for group in (above, below))
     stands_on = middlewares()[over].stands_on.get(suite(above.suite).kind or "", ())

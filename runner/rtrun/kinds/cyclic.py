@@ -11,6 +11,8 @@ from rtrun.kinds.kind import LogForm, MeasurementKind
 from rtrun.kinds.rows import MAX_ABSENT, Columns, Stated, agree, check_times, check_wall_times, without
 from rtrun.kinds.values import IndexedValues, Int64s, no_values
 
+LATENESS, JITTER, GRID = "lateness", "jitter", "grid"
+"""Its series."""
 # Clocks that NTP disciplines drift from others by 500 ppm at most.
 _NTP_DRIFT = 5e-4
 # So many calls in a row are not all interrupted between their two stamps.
@@ -28,9 +30,9 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
     frequency_hz = _frequency_hz(stated, path)
     period_ns = _grid_ns(1, frequency_hz)
     return {
-        "lateness": _lateness(columns, stated, path, period_ns),
-        "jitter": IndexedValues(values_ns=np.diff(timestamp) - period_ns, index=index),
-        "grid": IndexedValues(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index),
+        LATENESS: _lateness(columns, stated, path, period_ns),
+        JITTER: IndexedValues(values_ns=np.diff(timestamp) - period_ns, index=index),
+        GRID: IndexedValues(values_ns=passed_ns - _grid_ns(index + 1, frequency_hz), index=index),
     }
 
 
@@ -102,16 +104,18 @@ def _times(columns: Columns, values: IndexedValues) -> Int64s:
 
 KIND = MeasurementKind(
     series=_series,
-    called={"lateness": "lateness", "jitter": "jitter"},
+    called={LATENESS: "lateness", JITTER: "jitter"},
     times=_times,
     subject="of the timer",
     # The first two periods.
-    startup={"lateness": 2, "jitter": 2, "grid": 2},
+    startup={LATENESS: 2, JITTER: 2, GRID: 2},
+    clustered={JITTER: "successive", GRID: GRID},
     layer_below="cyclictest",
     logs=LogForm(
         suite="cyclic_timer_tests",
-        main="jitter",
+        main=JITTER,
         summary=re.compile(r"with a total of ([0-9]{1,12}) measurements"),
-        series={"": "jitter"},
+        series={"": JITTER},
+        labels={"Jitter:": JITTER},
     ),
 )

@@ -18,14 +18,15 @@ class LogForm:
     """The logs that a suite wrote in 2014 and writes still, gnuplot scripts with the data in them.
 
     `main` is the series that the suite was about in 2014. `summary` is the line that says how many were asked for,
-    `series` the series of a log by what its name ends with; `missing_as_value`: a missing message stands there as a
-    value of -1 us.
+    `series` the series of a log by what its name ends with, `labels` those of its lines of figures by how these begin;
+    `missing_as_value`: a missing message stands there as a value of -1 us.
     """
 
     suite: str
     main: str
     summary: re.Pattern[str]
     series: Mapping[str, str]
+    labels: Mapping[str, str] = field(default_factory=dict)
     missing_as_value: bool = False
 
 
@@ -105,6 +106,7 @@ class MeasurementKind:
     `subject` says in words what the values of a series are of, after its name: "of the timer".
 
     `startup` says of how many loops at the start of a run the values of a series stand apart, as in the thesis.
+    `clustered` are those that may have a cluster of negative values, with what a report calls them.
     `layer_below` is the baseline, or the kind, that measures what this one's values are on top of.
 
     `logs` is the form of its logs of 2014; None: there were none. `stream` is how it is observed; None: it is not.
@@ -117,6 +119,7 @@ class MeasurementKind:
     times: Callable[[Columns, IndexedValues], Int64s]
     subject: str
     startup: Mapping[str, int] = field(default_factory=dict)
+    clustered: Mapping[str, str] = field(default_factory=dict)
     layer_below: str = ""
     logs: LogForm | None = None
     stream: StreamKind | None = None

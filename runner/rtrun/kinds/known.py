@@ -26,6 +26,10 @@ MAIN_ONLY_IN_2014 = frozenset(
 """Those of which today's suites are about another one."""
 
 
+CLUSTERED = {series: words for kind in KINDS.values() for series, words in kind.clustered.items()}
+"""The series that may have a cluster of negative values, and what a report calls them."""
+
+
 def startup_loops(series: str) -> int:
     """Of how many loops at the start of a run the values of a series stand apart."""
     return next((kind.startup[series] for kind in KINDS.values() if series in kind.startup), 0)

@@ -10,6 +10,8 @@ from rtrun.kinds.kind import LogForm, MeasurementKind, StreamKind
 from rtrun.kinds.rows import MAX_ABSENT, Columns, Stated, agree, check_times, disagree, without
 from rtrun.kinds.values import IndexedValues, Int64s, no_values
 
+LATENCY, HANDLED = "latency", "handled"
+"""Its series."""
 NOT_SEEN_NS = -(2**63)
 """Instead of a time that nothing has seen."""
 
@@ -37,13 +39,13 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
     falls = 0 if is_in_order else int(np.count_nonzero(arrived[1:] < arrived[:-1]))
     agree(path, "out of order", falls, stated.out_of_order)
     absent = _absent(seq, stated.asked, path) if stated.missing else no_values()
-    series = {"latency": IndexedValues(values_ns=(reception - publication)[order], index=seq, absent=absent)}
+    series = {LATENCY: IndexedValues(values_ns=(reception - publication)[order], index=seq, absent=absent)}
     if "callback_end_ns" in columns:
         end = columns["callback_end_ns"]
         handled = np.flatnonzero((end != NOT_SEEN_NS)[order])
         values = (end - publication)[order][handled]
         check_times(path, values)
-        series["handled"] = IndexedValues(values_ns=values, index=seq[handled])
+        series[HANDLED] = IndexedValues(values_ns=values, index=seq[handled])
     return series
 
 
@@ -79,19 +81,19 @@ STREAM = StreamKind(
 )
 KIND = MeasurementKind(
     series=_series,
-    called={"latency": "latency"},
+    called={LATENCY: "latency"},
     times=_times,
     subject="of messages",
     # The first message.
-    startup={"latency": 1},
+    startup={LATENCY: 1},
     layer_below="oneshot",
     stream=STREAM,
     has_steps=True,
     logs=LogForm(
         suite="communication_tests",
-        main="latency",
+        main=LATENCY,
         summary=re.compile(r"Amount messages: ([0-9]{1,12})\b"),
-        series={"": "latency"},
+        series={"": LATENCY},
         missing_as_value=True,
     ),
 )

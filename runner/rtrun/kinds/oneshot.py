@@ -48,5 +48,6 @@ KIND = MeasurementKind(
         main="measured_2014",
         summary=re.compile(r"with a loop length of ([0-9]{1,12}) "),
         series={"measured": "measured_2014", "reported": "reported", "diff": "difference_2014"},
+        labels={"Measured:": "measured_2014", "Reported:": "reported", "Difference:": "difference_2014"},
     ),
 )

@@ -12,6 +12,7 @@ from rtrun.judgement.digest import Digest, pool_figures
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import severity, verdict_line
+from rtrun.kinds.known import CLUSTERED
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.suites import in_words
 from rtrun.report.tables import Table, printable_table
@@ -206,8 +207,7 @@ def _clusters(every: Sequence[Digest]) -> Table:
         if one.cluster is not None and one.cluster.n:
             c = one.cluster
             place = [time(value) for value in (c.median_ns, c.low_ns, c.high_ns)]
-            jitter = "successive" if one.header.series == "jitter" else "grid"
-            rows.append((one.run, jitter, f"{100 * c.fraction:.3f}", *place))
+            rows.append((one.run, CLUSTERED[one.header.series], f"{100 * c.fraction:.3f}", *place))
     columns = ("run", "jitter", "share %", "median", "lowest", "highest")
     return Table(id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=2)
 

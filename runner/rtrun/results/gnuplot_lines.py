@@ -19,6 +19,7 @@ from rtfiles.errors import UsageError
 from rtrun.analysis.figures import IndexedValue
 from rtrun.kinds.known import LOGS
 from rtrun.kinds.limits import TIME_MAX_NS
+from rtrun.kinds.messages import LATENCY
 
 MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
 MAX_LINE_BYTES = 1 << 20
@@ -41,12 +42,7 @@ _PLAIN_BYTES = 1 << 20
 _NUMBER = r"(-?[0-9]{1,15}(?:\.[0-9]{1,6})?)"
 _BOUNDS = re.compile(rf"MIN:\s*{_NUMBER}us\s+AVG:\s*{_NUMBER}us\s+MAX:\s*{_NUMBER}us")
 _ENTRY = re.compile(rf"{_NUMBER}:([0-9]{{1,12}})")
-_LABELS = {
-    "Measured:": "measured_2014",
-    "Reported:": "reported",
-    "Difference:": "difference_2014",
-    "Jitter:": "jitter",
-}
+_LABELS = {label: series for form in LOGS.values() for label, series in form.labels.items()}
 _LISTS = {"Indices of top values": "top", "Indices of lowest values": "lowest"}
 _INCOMPLETE = re.compile(r"Incomplete: ([0-9]{1,12}) of [0-9]{1,12} measured, (.*)")
 COUNTS = {
@@ -174,7 +170,7 @@ def _printed(match: re.Match[str], line: int) -> Printed:
 def _read_comment(lines: _Lines, text: Text, line: str) -> None:
     if match := _BOUNDS.search(line):
         label = line[: match.start()].strip()
-        text.summaries[_LABELS.get(label, "latency")] = _printed(match, lines.number)
+        text.summaries[_LABELS.get(label, LATENCY)] = _printed(match, lines.number)
     for suite, form in LOGS.items():
         if match := form.summary.search(line):
             text.suite = suite
