@@ -1,4 +1,4 @@
-"""What ``rtgen`` and ``rtrun`` share: typed input with limits, output, atomic writes, the build cache, commands.
+"""Shared by ``rtgen`` and ``rtrun``: typed input with limits, output, atomic writes, the build cache, commands.
 
 It imports neither of them.
 """

@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Files written completely or not at all."""
 
 import os
 import shutil
@@ -12,20 +12,20 @@ from rtfiles.errors import UsageError
 def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
     """Write a file under a temporary name in its folder, flush it to disk, rename it into place.
 
-    Where `path` is a link, the file that it names is written, unless the link belongs to another user. What is no
-    regular file, as /dev/null or a pipe, is written to. The folder must exist. Raises OSError that names `path`, and
-    leaves no temporary file behind then.
+    If `path` is a link, the file behind it is written, unless the link belongs to another user. A file that is not
+    regular, such as /dev/null or a pipe, is written to directly. The folder must exist. Raises OSError that names
+    `path`, and then leaves no temporary file behind.
     """
     try:
         _write(path, data, mode)
     except OSError as error:
-        error.filename = str(path)  # of a full disk it has none, and of the temporary file another one
+        error.filename = str(path)  # a full disk names none, and the temporary file has another
         raise
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
     named = ownership.resolve(path)
-    # Of a link in /proc/<pid>/fd, as /dev/stdout is one, the text may be the path of no file.
+    # For a link in /proc/<pid>/fd, such as /dev/stdout, the text may be a path without a file.
     if path.exists() and not named.is_file():
         with path.open("wb") as stream:
             stream.write(data)
@@ -35,7 +35,7 @@ def _write(path: Path, data: bytes, mode: int) -> None:
         with os.fdopen(handle, "wb") as stream:
             stream.write(data)
             stream.flush()
-            # By the name it may be another's by now.
+            # By now the name may refer to somebody else's file.
             os.fchmod(stream.fileno(), mode)
             os.fsync(stream.fileno())
         Path(temporary).replace(named)
@@ -51,21 +51,24 @@ def write_text(path: Path, text: str, mode: int = 0o644) -> None:
 
 
 def write_named(path: Path, data: bytes) -> None:
-    """`write_bytes` to a place that the user named. Raises UsageError where that cannot be, or there is nothing to
-    write: an empty file would pass for an answer."""
+    """`write_bytes` to a place that the user named.
+
+    Raises UsageError where that is not possible, or where there is nothing to write: an empty file would pass for an
+    answer.
+    """
     if not data:
         raise UsageError(f"{path}: not written, because there is nothing to write")
     try:
         write_bytes(path, data)
-    except (OSError, ValueError) as error:  # the latter for a NUL in the path
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = (isinstance(error, OSError) and error.strerror) or error
         raise UsageError(f"{path}: cannot be written: {reason}") from error
 
 
 def replace_link(path: Path, target: Path | str) -> None:
-    """Make `path` a symbolic link to a target, in one step where another link or file is there.
+    """Make `path` a symbolic link to a target, replacing another link or file in one step.
 
-    Missing folders above it are made. A link that is right already stays as it is. Raises OSError.
+    Missing parent folders are made. A link that is already right stays as it is. Raises OSError.
     """
     if path.is_symlink() and str(path.readlink()) == str(target):
         return
@@ -82,9 +85,9 @@ def replace_link(path: Path, target: Path | str) -> None:
 
 
 def copy_folder(source: Path, copy: Path) -> None:
-    """Copy a folder under a temporary name beside its copy, and rename it into place; one that is there stays.
+    """Copy a folder under a temporary name next to `copy`, and rename it into place; an existing `copy` stays.
 
-    Missing folders above it are made. Raises OSError, and leaves no temporary folder behind then.
+    Missing parent folders are made. Raises OSError, and then leaves no temporary folder behind.
     """
     if copy.is_dir():
         return

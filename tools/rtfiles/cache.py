@@ -1,8 +1,8 @@
 """Results of slow builds, kept under the hash of all inputs.
 
 An entry is a folder ``<root>/<kind>/<hash>``, where root is ``$META_RT_TESTS_CACHE`` or
-``${XDG_CACHE_HOME:-~/.cache}/meta-rt-tests``. It appears in one rename, so an interrupted build leaves none. A cache
-that others could change is refused (`ownership`).
+``${XDG_CACHE_HOME:-~/.cache}/meta-rt-tests``. It appears in one rename, so an interrupted build leaves no entry. A
+cache that others could change is refused (`ownership`).
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from rtfiles.errors import UsageError
 
 
 def root() -> Path:
-    """The folder that holds every entry."""
+    """The folder of all entries."""
     chosen = os.environ.get("META_RT_TESTS_CACHE")
     if chosen:
         return Path(chosen)
@@ -57,10 +57,10 @@ def digest(parts: Iterable[str | bytes | Path]) -> str:
 
 
 def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
-    """Return the folder of this kind and key, built by `build(empty folder)` if it is not there yet.
+    """Return the folder of this kind and key, built by `build(empty folder)` if it is missing.
 
-    Two processes that want the same entry build it once. An exception of `build` passes through and leaves nothing;
-    a killed build leaves its folder, which the next build of any entry removes.
+    Two processes that want the same entry build it once. An exception in `build` is passed on and leaves nothing
+    behind. A killed build leaves its folder, which the next build of any entry removes.
     """
     folder = root() / kind
     ownership.make_folder(folder)
@@ -85,7 +85,7 @@ def entry(kind: str, key: str, build: Callable[[Path], None]) -> Path:
 
 @contextlib.contextmanager
 def locked(kind: str, name: str) -> Iterator[None]:
-    """Hold a lock of this name among those of a kind; another process waits for it meanwhile."""
+    """Hold the lock with this name and kind; other processes wait for it meanwhile."""
     folder = root() / kind
     ownership.make_folder(folder)
     with _open_lock(folder, name) as lock:
@@ -94,8 +94,10 @@ def locked(kind: str, name: str) -> Iterator[None]:
 
 
 def _open_lock(folder: Path, name: str) -> IO[bytes]:
-    """Open the file of a lock. It may have been put there while others could write to the folder: what is a link, or
-    another name of any file, keeps its contents.
+    """Open a lock file without changing its contents.
+
+    The file may have been put there while others could write to the folder. A link is refused, and a hard link to any
+    other file keeps its contents.
     """
     path = folder / f".{name}.lock"
     try:
@@ -108,7 +110,7 @@ def _open_lock(folder: Path, name: str) -> IO[bytes]:
 
 
 def _remove_leftovers() -> None:
-    """Remove the folders of killed builds: those whose lock nobody holds. Where others could put some, they stay."""
+    """Remove the folders of killed builds, whose lock is free. Folders that others could have put there stay."""
     for leftover in root().glob("*/.*.tmp-*"):
         key = leftover.name.removeprefix(".").partition(".tmp-")[0]
         with contextlib.suppress(BlockingIOError, UsageError):

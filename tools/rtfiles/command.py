@@ -19,7 +19,7 @@ from rtfiles.output import print_error, print_line, print_status, print_text, qu
 from rtfiles.wording import did_you_mean, unknown
 
 SHELLS = ("bash", "zsh")
-# The word of a command, where the help lists the commands in groups.
+# The placeholder for a command, if the help lists the commands in groups.
 LISTED = "listed_command"
 
 
@@ -32,13 +32,13 @@ def dispatch(
 ) -> int:
     """Run one sub-command and return the exit status.
 
-    A command is a module with ``NAME``, ``HELP``, ``EXAMPLES``, ``add_arguments(parser)`` and ``run(args) -> int``, and
-    ``FAILS``, what the exit status 1 says, where it can have that. Imports that take long stand inside ``run``, so that
-    ``--help`` answers at once.
+    A command is a module with ``NAME``, ``HELP``, ``EXAMPLES``, ``add_arguments(parser)`` and ``run(args) -> int``.
+    ``FAILS`` is the meaning of the exit status 1, for a command that can return it. Slow imports belong inside ``run``,
+    so that ``--help`` answers at once.
 
-    The exit status does not depend on a reader of standard output that goes away. If standard output cannot be written
+    The exit status does not change when the reader of standard output goes away. If standard output cannot be written
     for another reason, for example a full disk, the status is that of an infrastructure error, unless the command
-    failed with a status of its own. SIGTERM and SIGHUP end a command as Ctrl-C does, so that it cleans up.
+    failed with its own status. SIGTERM and SIGHUP end a command like Ctrl-C, so that it cleans up.
     """
     with surviving_output() as losses, _interruptible():
         try:
@@ -80,7 +80,7 @@ def _interruptible() -> Iterator[None]:
         raise KeyboardInterrupt
 
     numbers = [each for each in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(each) != signal.SIG_IGN]
-    if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
+    if threading.current_thread() is not threading.main_thread():  # handlers can be set only there
         numbers = []
     previous = {number: signal.signal(number, interrupt) for number in numbers}
     try:
@@ -96,7 +96,7 @@ def parser_of(
     commands: Sequence[ModuleType],
     groups: Mapping[str, Sequence[str]] | None = None,
 ) -> argparse.ArgumentParser:
-    """The parser of a program with these commands; with `groups`, by title, --help lists them below these titles."""
+    """The parser of a program with these commands; with `groups`, --help lists the commands below group titles."""
     parser = _Parser(prog=prog, description=description)
     parser.add_argument("--version", action=_PrintVersion, nargs=0, help="print the version")
     parser.add_argument(
@@ -119,7 +119,7 @@ def parser_of(
 
 
 def _listed(commands: Sequence[ModuleType], groups: Mapping[str, Sequence[str]]) -> str:
-    """The commands below the titles of their groups, and what the exit statuses say."""
+    """The commands below the titles of their groups, and the meaning of the exit statuses."""
     known = {command.__name__.rpartition(".")[2]: command for command in commands}
     width = max(len(command.NAME) for command in commands)
     lines = []
@@ -135,7 +135,7 @@ def _listed(commands: Sequence[ModuleType], groups: Mapping[str, Sequence[str]])
 
 
 def _epilog(command: ModuleType) -> str:
-    """Examples of a command, and what its exit statuses say."""
+    """Examples of a command, and the meaning of its exit statuses."""
     examples = [f"  {example}" for example in getattr(command, "EXAMPLES", ())]
     statuses = f"exit status: {_statuses(getattr(command, 'FAILS', None))}"
     return "\n".join([*(["examples:", *examples, ""] if examples else []), *textwrap.wrap(statuses, _columns())])
@@ -158,7 +158,7 @@ def _columns() -> int:
 
 
 class _Help(argparse.HelpFormatter):
-    """Help in which a text of several lines keeps them, without the commands that the epilog lists."""
+    """Help that keeps the lines of a text with several, without the commands that the epilog lists."""
 
     def add_argument(self, action: argparse.Action) -> None:
         if action.dest != LISTED:
@@ -169,7 +169,7 @@ class _Help(argparse.HelpFormatter):
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that takes no part of an option for it, and says what may be meant; so are those of its commands."""
+    """A parser that accepts no abbreviated options, and suggests similar words; its sub-parsers do the same."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**{"formatter_class": _Help, **settings, "allow_abbrev": False})
@@ -188,7 +188,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _add_quiet(parser: argparse.ArgumentParser) -> None:
-    """To the parser of a command, or to those of its actions."""
+    """Add --quiet to the parser of a command, or to those of its actions."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for each in action.choices.values():
@@ -221,12 +221,12 @@ class _PrintManual(argparse.Action):
 
 
 def manual(parser: argparse.ArgumentParser) -> str:
-    """A manual page as man(7) has it: --help of the program, and a section with that of each command."""
+    """A manual page for man(7): the --help of the program, and a section with the --help of each command."""
     from importlib.metadata import version
 
     def shown(text: str) -> str:
         lines = text.replace("\\", "\\e").replace("-", "\\-").splitlines()
-        # A line that begins with one of these would be a request.
+        # A line that begins with one of these would be a roff request.
         return "\n".join(f"\\&{line}" if line.startswith((".", "'")) else line for line in lines)
 
     name = parser.prog
@@ -242,7 +242,7 @@ def manual(parser: argparse.ArgumentParser) -> str:
 
 
 def _complete_paths(parser: argparse.ArgumentParser) -> None:
-    """Let a shell complete file names for every argument that is a path, those of the commands included."""
+    """Let a shell complete file names for every path argument, including those of the commands."""
     import shtab
 
     for action in parser._actions:

@@ -16,20 +16,20 @@ from rtfiles.errors import UsageError
 from rtfiles.untrusted import JSON_BYTES_MAX, JSON_ITEMS_MAX, parse_json, read_text
 from rtfiles.wording import SHOWN_CHARACTERS, mistake, unknown
 
-# Of data that is wrong, which somebody else may have written.
+# Limits for reporting errors in data, which somebody else may have written.
 SHOWN_ERRORS = 20
 ERRORS_MAX = 10_000
 
 
 class Config(BaseModel):
-    """Base of every type that is read from a file: frozen, strict about types, unknown keys refused."""
+    """Base of every type that is read from a file: frozen, strict about types, refusing unknown keys."""
 
     model_config = ConfigDict(defer_build=True, frozen=True, extra="forbid", strict=True)
 
     @model_validator(mode="before")
     @classmethod
     def _refuse_unknown_keys(cls, data: Any) -> Any:
-        # pydantic's own message does not say what is allowed.
+        # pydantic's own message does not name the allowed keys.
         if isinstance(data, dict):
             names = key_names(cls)
             if refused := [key for key in data if key not in names]:
@@ -40,12 +40,12 @@ class Config(BaseModel):
 
 @functools.cache
 def key_names(model: type[Config]) -> tuple[str, ...]:
-    """The keys of a Config as they stand in a file."""
+    """The keys of a Config as written in a file."""
     return tuple(field.alias or name for name, field in model.model_fields.items())
 
 
 def matching(pattern: str, allowed: str) -> AfterValidator:
-    """Take a text that is wholly of this form, in ASCII; a message reports that it is not `allowed`."""
+    """Accept an ASCII text that matches the pattern completely; the message states what is `allowed`."""
 
     def check(value: str) -> str:
         if not re.fullmatch(pattern, value, re.ASCII):
@@ -65,7 +65,7 @@ def _path(text: str) -> str:
     return text
 
 
-# A path as a user writes it, which may begin with ~ or ~user.
+# A path as a user writes it; it may begin with ~ or ~user.
 UserPath = Annotated[str, Field(min_length=1), AfterValidator(_path)]
 
 ConfigT = TypeVar("ConfigT", bound=Config)
@@ -73,16 +73,16 @@ ConfigT = TypeVar("ConfigT", bound=Config)
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A place in data, for messages: ``a.yml:7: runs.0.suite``, with the line of the entry where that is known."""
+    """A place in data, for messages: ``a.yml:7: runs.0.suite``, with the line of the entry if it is known."""
 
     origin: str
     path: tuple[str | int, ...] = ()
     node: yaml.Node | None = None
-    """What stands there in a YAML file."""
+    """What is at this place in a YAML file."""
     line: int | None = None
 
     def __truediv__(self, key: str | int) -> Self:
-        """The place of a key, or of an entry of a list, in the mapping or list that is here."""
+        """The place of a key, or of a list entry, in the mapping or list at this place."""
         key_node, node = None, None
         if isinstance(self.node, yaml.MappingNode):
             pairs = (pair for pair in self.node.value if pair[0].value == str(key))
@@ -99,13 +99,13 @@ class Place:
 
 
 YAML_BYTES_MAX = 1 << 20
-# With every alias written out: a few hundred bytes of nested aliases stand for more than memory holds.
+# With every alias expanded: a few hundred bytes of nested aliases can exceed the memory.
 YAML_NODES_MAX = 200_000
 YAML_NUMBER_MAX = 40
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """SafeLoader that refuses half of a character, and a key given twice, where YAML would silently keep the last."""
+    """SafeLoader that refuses lone surrogates and duplicate keys, where YAML would silently keep the last."""
 
     def get_single_node(self) -> Any:
         node = super().get_single_node()
@@ -119,7 +119,7 @@ class _StrictLoader(yaml.SafeLoader):
                 raise ValueError(f"a number has at most {YAML_NUMBER_MAX} characters")
             return super().construct_object(node, deep)
         except (ArithmeticError, AttributeError, LookupError, ValueError) as error:
-            # PyYAML lets through what Python says of 2024-02-30, !!int x and the like.
+            # PyYAML passes on Python's errors for 2024-02-30, !!int x and the like.
             kind = node.tag.rpartition(":")[2]
             raise yaml.constructor.ConstructorError(
                 None, None, f"no valid {kind}: {error}; a text is to be in quotes", node.start_mark
@@ -146,7 +146,7 @@ _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 
 
 def _count_nodes(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
-    """Return how many nodes a node stands for, aliases written out; `known` are those counted, 0 while under way."""
+    """Return how many nodes a node expands to; `known` holds those already counted, 0 for nodes still being counted."""
     if node in known:
         if not known[node]:
             raise yaml.constructor.ConstructorError(None, None, "an alias within what it names", node.start_mark)
@@ -178,7 +178,7 @@ def read_yaml(path: Path) -> Any:
 def read_yaml_with_place(path: Path) -> tuple[Any, Place]:
     """Return the plain data in a YAML file, and the place that knows the lines of its entries.
 
-    Raises UsageError when it cannot be read, and as `parse_yaml` does.
+    Raises UsageError when the file cannot be read, and as `parse_yaml` does.
     """
     return parse_yaml(read_text(path, max_bytes=YAML_BYTES_MAX), str(path))
 
@@ -186,10 +186,10 @@ def read_yaml_with_place(path: Path) -> tuple[Any, Place]:
 def parse_yaml(text: str, origin: str) -> tuple[Any, Place]:
     """Return the plain data in a YAML text, and the place that knows the lines of its entries.
 
-    Raises UsageError naming origin and line when it is not YAML, gives a key twice, or is or stands for more than any
-    file of ours.
+    Raises UsageError naming origin and line when the text is not YAML, has a key twice, or is larger than any file of
+    ours, as written or expanded.
     """
-    if len(text) > YAML_BYTES_MAX:  # a character takes a byte at least
+    if len(text) > YAML_BYTES_MAX:  # a character takes at least a byte
         raise UsageError(f"{origin}: larger than {YAML_BYTES_MAX} bytes")
     try:
         loader = _StrictLoader(text)
@@ -209,7 +209,7 @@ def parse_yaml(text: str, origin: str) -> tuple[Any, Place]:
 
 
 def parse(data: Any, model: type[ConfigT], origin: str | Place) -> ConfigT:
-    """Turn plain data into a Config; the errors found are in the UsageError, one line each.
+    """Turn plain data into a Config; all errors found are in the UsageError, one line each.
 
     A line reads ``origin:line: path.to.key: what is wrong, what is allowed``.
     """
@@ -220,7 +220,7 @@ def parse(data: Any, model: type[ConfigT], origin: str | Place) -> ConfigT:
         return model.model_validate(data)
     except ValidationError as error:
         if error.error_count() > ERRORS_MAX:
-            # Their details take a KiB each.
+            # The details of each error take a KiB.
             raise UsageError(f"{top}: {error.error_count()} errors, so this is no such file") from None
         by_place: dict[Place, list[ErrorDetails]] = {}
         for item in error.errors():
@@ -232,7 +232,7 @@ def parse(data: Any, model: type[ConfigT], origin: str | Place) -> ConfigT:
 
 
 def _place_of(error: ErrorDetails, data: Any, top: Place) -> Place:
-    """The place of an error; pydantic's path to it also names the alternatives that the value may be."""
+    """The place of an error; pydantic's path to it also names the alternatives of a union."""
     place = top
     for part in error["loc"]:
         is_there = part in data if isinstance(data, dict) else isinstance(data, list) and isinstance(part, int)
@@ -254,7 +254,8 @@ def load(path: Path, model: type[ConfigT]) -> ConfigT:
 def load_own(path: Path, model: type[ConfigT]) -> ConfigT:
     """Read a YAML file of this package into a Config, in a fifth of the time that `load` takes.
 
-    It is read by libyaml, which ends the process where data are nested deeply: never a file that somebody else wrote.
+    It is parsed by libyaml, which ends the process on deeply nested data: never use it for a file that somebody else
+    wrote.
     """
     return parse(yaml.load(path.read_text("utf-8"), _OWN_LOADER), model, str(path))
 

@@ -5,12 +5,12 @@ INTERRUPTED_STATUS = 130  # as a shell reports Ctrl-C
 
 
 class UsageError(Exception):
-    """What the user asked for is wrong: a command line, a config file, a missing input. The message is the remedy."""
+    """The user's request is wrong: a command line, a config file, a missing input. The message is the remedy."""
 
     exit_status = 2
 
 
 class InfrastructureError(Exception):
-    """A target, a tool or the network failed; what the user asked for may be right."""
+    """A target, a tool or the network failed; the user's request may be right."""
 
     exit_status = 3

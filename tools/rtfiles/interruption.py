@@ -1,4 +1,4 @@
-"""Ctrl-C while something is kept that would be lost."""
+"""Ctrl-C while data would be lost."""
 
 import contextlib
 import os
@@ -10,12 +10,12 @@ from types import FrameType
 
 @contextlib.contextmanager
 def deferred(said: str) -> Iterator[None]:
-    """Let the first Ctrl-C wait for the end of the context, which then raises KeyboardInterrupt; a second acts at once.
+    """Delay the first Ctrl-C to the end of the context, which then raises KeyboardInterrupt; a second acts at once.
 
-    `said` is what the user reads meanwhile. Only the main thread gets Ctrl-C: in another one this does nothing.
+    `said` is the text for the user meanwhile. Only the main thread gets Ctrl-C: in any other thread this does nothing.
     """
     before = signal.getsignal(signal.SIGINT)
-    # A shell lets what it starts in the background ignore Ctrl-C.
+    # A shell makes background processes ignore Ctrl-C.
     if threading.current_thread() is not threading.main_thread() or not callable(before):
         yield
         return
@@ -24,7 +24,7 @@ def deferred(said: str) -> Iterator[None]:
     def defer(_signal: int, _frame: FrameType | None) -> None:
         asked.set()
         signal.signal(signal.SIGINT, before)
-        # print may be what was interrupted.
+        # print itself may have been interrupted.
         with contextlib.suppress(OSError):
             os.write(2, f"{said}\n".encode())
 

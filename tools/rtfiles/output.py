@@ -1,8 +1,8 @@
 """The one writer for everything that the programs print.
 
-What is printed may come from a target, so no text may send commands to the terminal or add lines of its own:
-`printable` removes what would. The reader may go away and the disk may be full: `surviving_output` lets the program
-go on without output, so that a campaign keeps measuring and the exit status stays that of the answer.
+Printed text may come from a target, so it must not send commands to the terminal or add lines: `printable` removes such
+characters. The reader may go away, and the disk may be full. `surviving_output` lets the program continue without
+output, so that a campaign keeps measuring and the exit status stays that of the answer.
 """
 
 import contextlib
@@ -18,25 +18,25 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 T = TypeVar("T")
-PLAIN_WIDTH = 100  # columns of a table, where the output is no terminal
+PLAIN_WIDTH = 100  # columns of a table, where the output is not a terminal
 WIDTH_MAX = 1000
 _quiet = False
 
 
 def printable(text: str) -> str:
-    """One line of text, in which every control character and line break has become a question mark."""
+    """One line of text, with a question mark for every control character and line break."""
     if text.isprintable():
         return text
     return "".join(character if character.isprintable() or character == "\t" else "?" for character in text)
 
 
 def counted(number: int, noun: str) -> str:
-    """A number and its noun, with an s but for one."""
+    """A number and its noun, with an s unless the number is 1."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def listed(names: Collection[str], most: int) -> str:
-    """Names behind commas, the first ones where there are more than so many, with the number of the others."""
+    """Names separated by commas; if there are more than `most`, the first ones and the number of the others."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join([*names][:most]) + more
 
@@ -47,26 +47,26 @@ def print_line(text: str = "") -> None:
 
 
 def print_text(text: str) -> None:
-    """Print text of several lines, a file's or JSON, to standard output."""
+    """Print text of several lines, such as a file or JSON, to standard output."""
     print("\n".join(printable(line) for line in text.removesuffix("\n").split("\n")), flush=True)
 
 
 def print_json(data: Any) -> None:
-    """Print plain data for programs. Raises ValueError for a number that JSON does not have."""
+    """Print plain data for programs. Raises ValueError for a number that JSON cannot represent."""
     import json
 
     print_text(json.dumps(data, indent=1, allow_nan=False))
 
 
 def print_bytes(content: bytes) -> None:
-    """Print a file as it is to standard output, for a program to read."""
+    """Print a file unchanged to standard output, for a program to read."""
     sys.stdout.flush()
     sys.stdout.buffer.write(content)
     sys.stdout.buffer.flush()
 
 
 def print_note(text: str) -> None:
-    """Print a remark beside the answer, one line, to standard error; nothing where `quietly` holds."""
+    """Print a remark about the answer, one line, to standard error; nothing within `quietly`."""
     if not _quiet:
         print_error(text)
 
@@ -78,7 +78,7 @@ def print_error(text: str) -> None:
 
 @contextlib.contextmanager
 def quietly(asked: bool = True) -> Iterator[None]:
-    """Print neither remarks nor progress meanwhile, only the answer and errors; as ever where it is not asked."""
+    """Within the context, print only the answer and errors, no remarks or progress; with `asked=False`, everything."""
     global _quiet
     before, _quiet = _quiet, asked
     try:
@@ -89,7 +89,7 @@ def quietly(asked: bool = True) -> Iterator[None]:
 
 @contextlib.contextmanager
 def beside_the_answer(asked: bool = True) -> Iterator[None]:
-    """Print everything to standard error meanwhile, because a program reads standard output."""
+    """Within the context, print everything to standard error, because a program reads standard output."""
     with contextlib.redirect_stdout(sys.stderr) if asked else contextlib.nullcontext():
         yield
 
@@ -103,13 +103,13 @@ def noting_duration(what: str) -> Iterator[None]:
 
 
 def print_status(text: str) -> None:
-    """Show a line that the next one overwrites. Only on a terminal; an empty text removes the line."""
+    """Show a line that the next one overwrites, only on a terminal; an empty text removes the line."""
     if sys.stderr.isatty() and not _quiet:
         print(f"\r\x1b[K{printable(text)}", end="", file=sys.stderr, flush=True)
 
 
 def showing_progress(items: Sequence[T], doing: str) -> Iterator[T]:
-    """Yield each of the items, and show on a terminal how far it is; the line is gone when the last one is done."""
+    """Yield each item, and show the progress on a terminal; the line disappears after the last item."""
     try:
         for number, item in enumerate(items, start=1):
             print_status(f"{doing} {number} of {len(items)}")
@@ -119,9 +119,9 @@ def showing_progress(items: Sequence[T], doing: str) -> Iterator[T]:
 
 
 def console() -> "Console":
-    """A console for tables and bars, as wide as COLUMNS says, or else as the terminal; plain text where there is none.
+    """A console for tables and bars, as wide as COLUMNS or else the terminal; plain text without a terminal.
 
-    It takes text as it is: what may come from a target has to pass `printable` before.
+    It prints text unchanged: text that may come from a target must go through `printable` first.
     """
     from rich.console import Console
 
@@ -134,14 +134,14 @@ def console() -> "Console":
 
 @dataclass(kw_only=True, slots=True)
 class Losses:
-    """What kept standard output or standard error from being written, None while all is well."""
+    """The first error in writing standard output or standard error, None if there was none."""
 
     stdout: OSError | None = None
     stderr: OSError | None = None
 
 
 class _Survivor(io.RawIOBase):
-    """A stream that drops what it is given from the first failure on, and remembers that failure."""
+    """A stream that drops all output after the first failure, and remembers that failure."""
 
     def __init__(self, stream: Any, losses: Losses, name: str) -> None:
         self._stream, self._losses, self._name = stream, losses, name
@@ -162,7 +162,7 @@ class _Survivor(io.RawIOBase):
                 self._stream.flush()
             except OSError as error:
                 setattr(self._losses, self._name, error)
-                # What the stream still holds goes nowhere, or Python fails on it at its end, with a status of its own.
+                # The rest of the buffer goes nowhere; otherwise Python fails on it at exit, with its own status.
                 with open(os.devnull, "wb") as nowhere:  # noqa: PTH123
                     os.dup2(nowhere.fileno(), self._stream.fileno())
         return len(data)
@@ -170,8 +170,8 @@ class _Survivor(io.RawIOBase):
 
 @contextlib.contextmanager
 def surviving_output() -> Iterator[Losses]:
-    """Let nothing that happens to standard output or standard error end the program; yields what happened to them."""
-    # A file or connection of ours that got the number of a closed stream would receive what C code prints there.
+    """Let no failure of standard output or standard error end the program; yields the failures."""
+    # If a file or connection of ours got the number of a closed stream, C code would print into it.
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(number, True)
     os.close(number)
@@ -188,10 +188,10 @@ def surviving_output() -> Iterator[Losses]:
 
 
 def _wrapped(stream: TextIO | None, losses: Losses, name: str) -> TextIO:
-    # Python's name for a stream that was closed when the program began is None.
+    # Python has None for a stream that was closed when the program began.
     inner = stream.buffer if stream else io.BytesIO()
     encoding = stream.encoding if stream else "utf-8"
-    # A terminal of another language shows what it can.
+    # A terminal with another encoding shows what it can.
     return io.TextIOWrapper(
         io.BufferedWriter(_Survivor(inner, losses, name)), encoding, errors="replace", line_buffering=True
     )

@@ -1,14 +1,14 @@
-"""Folders that nobody else can change: who may is asked of every folder on the way, before anything is written.
+"""Folders that nobody else can change: every folder on the path is checked before anything is written.
 
-A folder is safe where it belongs to somebody who is trusted, and nobody else may write to it. A look is enough, because
-what was seen stays: from the root down, a name in a safe folder can be given another meaning by the trusted alone. In
-a folder with the sticky bit, as /tmp, others may add names, but neither rename nor remove one that belongs to somebody
-else, so the next folder or link has to belong to the trusted. A folder that is missing there may be made by another
-user in the same moment: `mkdir` takes none that exists, and who made it is seen afterwards.
+A folder is safe if it belongs to a trusted user and nobody else may write to it. One check is enough, because its
+result stays true: from the root down, only trusted users can change what a name in a safe folder refers to. In a folder
+with the sticky bit, such as /tmp, others may add names, but cannot rename or remove what belongs to somebody else, so
+the next folder or link must belong to a trusted user. Another user may create a missing folder there at the same
+moment: `mkdir` never reuses an existing folder, and the owner is checked afterwards.
 
-Trusted are root, the user who runs the program, and the owner of the program: whoever can change what runs gains
-nothing by changing what it writes. For the same reason folders in which the program lies are not looked at. This lets
-root measure in a checkout of somebody else's, as in a container of a CI.
+Trusted are root, the user who runs the program, and the owner of the program: whoever can change the program gains
+nothing by changing what it writes. For the same reason the folders that contain the program are not checked. So root
+can measure in somebody else's checkout, as in a CI container.
 """
 
 import contextlib
@@ -22,16 +22,16 @@ from pathlib import Path
 
 from rtfiles.errors import UsageError
 
-# As many as the kernel follows (path_resolution(7)).
+# The kernel's own limit (path_resolution(7)).
 LINKS_MAX = 40
 _PROGRAM = Path(__file__)
 
 
 def make_folder(path: Path) -> bool:
-    """Make a folder, and those above it that are missing, unless they are there. Whether this call made the last one.
+    """Make a folder and its missing parents, unless they exist. Returns whether this call made the last one.
 
-    Raises UsageError where somebody else may change one on the way to it, with the remedy; OSError where one cannot be
-    made.
+    Raises UsageError, with the remedy, where somebody else may change a folder on the path; OSError where a folder
+    cannot be made.
     """
     trusted = _trusted()
     above_program = {str(folder) for folder in _PROGRAM.resolve().parents}
@@ -68,7 +68,7 @@ def make_folder(path: Path) -> bool:
         if place not in above_program and (why := _objection(place, found, trusted, is_last=False)):
             raise _unsafe(path, place, why)
         seen = place.rstrip("/")
-    # Where the way ends, by whatever turns.
+    # Where the path ends, after all links and `..`.
     end = seen or "/"
     if end not in above_program and (why := _objection(end, os.lstat(end), trusted, is_last=True)):
         raise _unsafe(path, end, why)
@@ -76,9 +76,9 @@ def make_folder(path: Path) -> bool:
 
 
 def resolve(path: Path) -> Path:
-    """The path without links, by which nobody else can make a writer overwrite a file of that writer's.
+    """The path without links: nobody else can redirect it to make a writer overwrite the writer's own file.
 
-    Raises OSError where a link on the way belongs to somebody who is not trusted, or there are too many.
+    Raises OSError where a link on the path belongs to a user who is not trusted, or where there are too many links.
     """
     trusted, links = _trusted(), 0
     seen, waiting = "/", list(path.absolute().parts[1:])
@@ -89,7 +89,7 @@ def resolve(path: Path) -> Path:
             continue
         try:
             target = os.readlink(place)  # noqa: PTH115 - to a folder of the text's own, with . and .. as they are
-        except OSError:  # it is no link, or not there
+        except OSError:  # it is not a link, or missing
             seen = place
             continue
         links += 1
@@ -103,7 +103,7 @@ def resolve(path: Path) -> Path:
 
 
 def _served_by_others(trusted: set[int]) -> set[str]:
-    """Where FUSE file systems of users who are not trusted are mounted: they choose what is reported of their files."""
+    """Mount points of FUSE file systems of untrusted users, who choose what is reported about their files."""
     served = set()
     for line in Path("/proc/self/mountinfo").read_bytes().splitlines():
         mount, _, system = line.partition(b" - ")
@@ -119,15 +119,15 @@ def _trusted() -> set[int]:
     """The numbers of the users who may change a folder."""
     trusted = {0, os.geteuid(), _PROGRAM.stat().st_uid}
     if os.geteuid() == 0 and (caller := os.environ.get("SUDO_UID", "")).isascii() and caller.isdigit():
-        trusted.add(int(caller))  # sudo sets it: who may run this as root can do all that root can
+        trusted.add(int(caller))  # set by sudo: a user who may run this as root can do all that root can
     return trusted
 
 
 def _objection(place: str, found: os.stat_result, trusted: set[int], *, is_last: bool) -> str | None:
-    """Why a folder is not safe; None: it is. In the last one, others must not even add names.
+    """Why a folder is not safe; None: it is. In the last folder, others must not even add names.
 
-    A list of rights (ACL) lets others write where the mode says that the group may. A default one, which chmod leaves
-    as it is, gives others what is made in a folder, whatever the umask says.
+    An access control list (ACL) lets others write where the mode grants the group write access. A default ACL, which
+    chmod does not change, gives others access to new files in a folder, whatever the umask is.
     """
     if found.st_uid not in trusted:
         return f"belongs to {_name(found.st_uid)}"
@@ -144,7 +144,7 @@ def _objection(place: str, found: os.stat_result, trusted: set[int], *, is_last:
 
 
 def _lists_of_rights(place: str) -> set[str]:
-    """Which lists of rights a folder has: "access", "default", both or none, as where a file system knows none."""
+    """The ACLs of a folder: "access", "default", both or none; none on a file system without ACLs."""
     with contextlib.suppress(OSError):
         prefix = "system.posix_acl_"
         return {name.removeprefix(prefix) for name in os.listxattr(place) if name.startswith(prefix)}
@@ -152,12 +152,12 @@ def _lists_of_rights(place: str) -> set[str]:
 
 
 def _is_private(found: os.stat_result) -> bool:
-    """Whether the group of a folder has no member but its owner, as the group of the same number that users get."""
+    """Whether the owner is the only member of a folder's group, as in the personal groups that users get."""
     if found.st_uid != found.st_gid:
         return False
     with contextlib.suppress(KeyError):
         owner = pwd.getpwuid(found.st_uid).pw_name
-        # A number may stand in several lines, each with members of its own.
+        # A number may occur in several lines, each with its own members.
         groups = [group.gr_mem for group in grp.getgrall() if group.gr_gid == found.st_gid]
         others = any(user.pw_gid == found.st_gid and user.pw_uid != found.st_uid for user in pwd.getpwall())
         return bool(groups) and not others and {name for names in groups for name in names} <= {owner}

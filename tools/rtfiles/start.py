@@ -1,4 +1,4 @@
-"""The start of both programs. It imports as little as can be, so that nothing of ours runs before Ctrl-C is seen to."""
+"""The start of both programs. It imports very little, so that Ctrl-C is handled before any code of ours runs."""
 
 import os
 import signal
@@ -13,14 +13,14 @@ def start(prog: str, description: str, groups: Mapping[str, Sequence[str]], argv
 
     `groups`: the modules by the title under which --help lists them.
 
-    Ctrl-C while they are imported ends the process as it ends a program that knows nothing of signals: an import that
-    is interrupted leaves a traceback, and nothing is to be cleaned up yet. In the 20 ms before this is called, while
-    Python sets itself up and pip's script imports us, it leaves Python's own traceback: no line of ours has run.
+    During the imports, Ctrl-C ends the process like a program without signal handlers: an interrupted import would
+    print a traceback, and there is nothing to clean up yet. In the 20 ms before this call, while Python starts and
+    pip's script imports us, Ctrl-C prints Python's own traceback: no line of ours has run.
     """
-    # pydantic would look for plugins in every package that is installed.
+    # Otherwise pydantic searches every installed package for plugins.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     before = signal.getsignal(signal.SIGINT)
-    # One that is ignored, or that a caller has taken for itself, stays.
+    # Keep a handler that the caller has set, and an ignored signal.
     quiet = before is signal.default_int_handler
     if quiet:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -30,7 +30,7 @@ def start(prog: str, description: str, groups: Mapping[str, Sequence[str]], argv
         word = [*(sys.argv[1:] if argv is None else argv)][:1]
         commands = [name for names in groups.values() for name in names]
         asked = [name for name in commands if [name.rstrip("_").replace("_", "-")] == word]
-        modules = commands_of(prog, asked or commands)  # --help, and what says that a word is wrong, name all of them
+        modules = commands_of(prog, asked or commands)  # --help and the error for a wrong word name all of them
     finally:
         if quiet:
             signal.signal(signal.SIGINT, before)
@@ -38,5 +38,5 @@ def start(prog: str, description: str, groups: Mapping[str, Sequence[str]], argv
 
 
 def commands_of(prog: str, names: Sequence[str]) -> list[ModuleType]:
-    """The commands of a program as `rtfiles.command.dispatch` takes them."""
+    """The commands of a program in the form for `rtfiles.command.dispatch`."""
     return [import_module(f"{prog}.commands.{name}") for name in names]

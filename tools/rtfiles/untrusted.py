@@ -1,7 +1,7 @@
-"""The one reader of what comes from a file or a target: everything has a limit, and what breaks one is an error.
+"""The one reader of data from a file or a target: everything has a limit, and exceeding one is an error.
 
-Files and texts that are wrong raise UsageError ``origin: what is wrong``; single numbers and words raise ValueError,
-for the caller to add the place. Nothing here ends in any other exception, whatever it is given.
+Wrong files and texts raise UsageError ``origin: what is wrong``; single numbers and words raise ValueError, so that the
+caller adds the place. No input raises any other exception here.
 """
 
 import json
@@ -20,12 +20,12 @@ from rtfiles.errors import UsageError
 
 MIB = 1 << 20
 JSON_BYTES_MAX = 16 * MIB
-# An empty list takes 3 bytes of JSON and 64 of memory: the size of the text alone does not limit the memory.
+# An empty list takes 3 bytes of JSON and 64 of memory: limiting the text does not limit the memory.
 JSON_ITEMS_MAX = 500_000
 JSON_DEPTH_MAX = 32
 XML_DEPTH_MAX = 64
 LINE_CHARACTERS_MAX = 262_144
-# Python refuses longer numbers only above 4300 digits, and those that it takes cost quadratic time.
+# Python refuses only numbers above 4300 digits, and shorter ones still cost quadratic time.
 DIGITS_MAX = 20
 INT64_MAX = 2**63 - 1
 _WHOLE_NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS_MAX}}}", re.ASCII)
@@ -33,7 +33,7 @@ _WHOLE_NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS_MAX}}}", re.ASCII)
 
 @contextmanager
 def _regular_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a regular file. Raises UsageError, within as well; a pipe or a device is refused, it never blocks."""
+    """Open a regular file. Raises UsageError, also within the context; refuses a pipe or a device, and never blocks."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(handle, "rb") as stream:
@@ -47,7 +47,7 @@ def _regular_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: Path, *, max_bytes: int) -> bytes:
-    """Return the content of a regular file. Raises UsageError; a pipe or a device is refused, it never blocks."""
+    """Return the content of a regular file. Raises UsageError; refuses a pipe or a device, and never blocks."""
     data = read_beginning(path, max_bytes=max_bytes + 1)
     if len(data) > max_bytes:
         raise UsageError(f"{path}: larger than {max_bytes} bytes")
@@ -55,13 +55,13 @@ def read_bytes(path: Path, *, max_bytes: int) -> bytes:
 
 
 def read_beginning(path: Path, *, max_bytes: int) -> bytes:
-    """Return the first bytes of a regular file that may have any size. Raises UsageError as `read_bytes` does."""
+    """Return the first bytes of a regular file of any size. Raises UsageError as `read_bytes` does."""
     with _regular_file(path) as stream:
         return stream.read(max_bytes)
 
 
 def read_end(path: Path, *, max_bytes: int) -> bytes:
-    """Return the last bytes of a file that may have any size. Raises OSError."""
+    """Return the last bytes of a file of any size. Raises OSError."""
     with path.open("rb") as stream:
         stream.seek(max(0, stream.seek(0, os.SEEK_END) - max_bytes))
         return stream.read(max_bytes)
@@ -76,9 +76,9 @@ def read_text(path: Path, *, max_bytes: int) -> str:
 
 
 def lines_of(text: str, origin: str) -> Iterator[str]:
-    """Yield the lines of a text without their ends. Raises UsageError for a line that is longer than any of ours.
+    """Yield the lines of a text without their ends. Raises UsageError for a line longer than any of ours.
 
-    One at a time, because a list of short lines or words takes 20 times the memory of their text.
+    They come one at a time, because a list of short lines or words takes 20 times the memory of their text.
     """
     start, number = 0, 1
     while start < len(text):
@@ -91,7 +91,7 @@ def lines_of(text: str, origin: str) -> Iterator[str]:
 
 
 def lines_in(path: Path) -> Iterator[bytes]:
-    """Yield the lines of a regular file that may have any size, with their ends. Raises UsageError as `lines_of`."""
+    """Yield the lines of a regular file of any size, with their ends. Raises UsageError as `lines_of` does."""
     with _regular_file(path) as stream:
         number = 1
         while line := stream.readline(LINE_CHARACTERS_MAX + 2):
@@ -102,8 +102,8 @@ def lines_in(path: Path) -> Iterator[bytes]:
 
 
 def parse_json(text: str, origin: str, *, max_bytes: int = JSON_BYTES_MAX, max_items: int = JSON_ITEMS_MAX) -> Any:
-    """Return the plain data in a JSON text; its numbers are finite and its texts can be encoded. Raises UsageError."""
-    # A character takes a byte at least.
+    """Return the plain data in a JSON text: finite numbers, and texts that can be encoded. Raises UsageError."""
+    # A character takes at least a byte.
     if len(text) > max_bytes:
         raise UsageError(f"{origin}: larger than {max_bytes} bytes")
     if text.count(",") + text.count("[") + text.count("{") > max_items:
@@ -124,7 +124,7 @@ def parse_json(text: str, origin: str, *, max_bytes: int = JSON_BYTES_MAX, max_i
 
 
 def _members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The members of a JSON object. Raises ValueError for a key that stands twice: which one counts is not known."""
+    """The members of a JSON object. Raises ValueError for a duplicate key: it is not known which value counts."""
     members: dict[str, Any] = {}
     for key, value in pairs:
         if key in members:
@@ -134,7 +134,7 @@ def _members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check(data: Any) -> None:
-    """Refuse plain data that cannot be written again: nested too deeply, or a text with half of a character."""
+    """Refuse plain data that cannot be written again: nested too deeply, or a text with a lone surrogate."""
     waiting: list[tuple[Any, int]] = [([data], 0)]
     while waiting:
         value, depth = waiting.pop()
@@ -149,7 +149,7 @@ def _check(data: Any) -> None:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class XmlElement:
-    """An element of XML: the names of those that it lies in and its own, its attributes, its own text, its line."""
+    """An XML element: the names of its ancestors and its own, its attributes, its own text, its line."""
 
     path: tuple[str, ...]
     attributes: Mapping[str, str]
@@ -166,13 +166,13 @@ class _OpenElement:
 
 
 def parse_xml(text: str, origin: str, take: Callable[[XmlElement], None]) -> None:
-    """Give each element of an XML text to `take` where it ends, so that those within it come before it.
+    """Pass each element of an XML text to `take` when it ends, so that inner elements come first.
 
-    Nothing but the elements that are open is held. A document type is refused, and with it every entity of its own.
-    Raises UsageError, as `take` may.
+    Only the open elements are kept in memory. A document type is refused, and with it every custom entity. Raises
+    UsageError, as `take` may.
     """
     start = 0
-    while start < len(text):  # a tag holds no <, so this limits its attributes, too
+    while start < len(text):  # a tag holds no <, so this also limits its attributes
         end = text.find("<", start)
         end = len(text) if end < 0 else end
         if end - start > LINE_CHARACTERS_MAX:
@@ -203,12 +203,12 @@ def parse_xml(text: str, origin: str, take: Callable[[XmlElement], None]) -> Non
         parser.Parse(text, True)
     except expat.ExpatError as error:
         raise UsageError(f"{origin}:{error.lineno}: not XML: {expat.ErrorString(error.code)}") from error
-    except ValueError as error:  # half of a character
+    except ValueError as error:  # a lone surrogate
         raise UsageError(f"{origin}: not XML: {error}") from error
 
 
 def text(word: str) -> str:
-    """Return a text that can be encoded as UTF-8. Raises ValueError for one that holds a lone surrogate."""
+    """Return a text that can be encoded as UTF-8. Raises ValueError for a text with a lone surrogate."""
     try:
         word.encode("utf-8")
     except UnicodeEncodeError:
@@ -217,7 +217,7 @@ def text(word: str) -> str:
 
 
 def whole_number(word: str, *, lowest: int = -INT64_MAX - 1, highest: int = INT64_MAX) -> int:
-    """Return the number in a text of ASCII digits. Raises ValueError for any other text and outside of the limits."""
+    """Return the number in a text of ASCII digits. Raises ValueError for any other text, and outside the limits."""
     if not _WHOLE_NUMBER.fullmatch(word):
         raise ValueError(f"expected a whole number of at most {DIGITS_MAX} digits, got {word[:40]!r}")
     number = int(word)
@@ -227,7 +227,7 @@ def whole_number(word: str, *, lowest: int = -INT64_MAX - 1, highest: int = INT6
 
 
 def real_number(word: str, *, lowest: float = -math.inf, highest: float = math.inf) -> float:
-    """Return the finite number in a text as C and JSON write it. Raises ValueError, outside of the limits as well."""
+    """Return the finite number in a text, as C and JSON write it. Raises ValueError, also outside the limits."""
     if not re.fullmatch(r"-?[0-9]{1,400}(\.[0-9]{1,400})?([eE][+-]?[0-9]{1,4})?", word, re.ASCII):
         raise ValueError(f"expected a number, got {word[:40]!r}")
     number = float(word)

@@ -1,4 +1,4 @@
-"""What is wrong with a value, in the words of this project, for a person to correct it."""
+"""What is wrong with a value, in the words of this project, so that a person can correct it."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
-# Of what is wrong, which somebody else may have written.
+# Limits for quoting wrong input, which somebody else may have written.
 SHOWN_WORDS = 20
 SHOWN_CHARACTERS = 80
 
-# By type of error of pydantic; the braces name what it says about the limit. The rest is reported in pydantic's words.
+# By pydantic's error type; the braces name its limits. Other errors are reported in pydantic's words.
 _TAKES = {
     "bool_type": "true or false",
     "dict_type": "a mapping of keys to values",
@@ -46,7 +46,7 @@ def unknown(noun: str, *words: object, known: Iterable[str], label: str = "known
 
 
 def did_you_mean(words: Iterable[str], known: Sequence[str]) -> str:
-    """The known words that may have been meant, as ` did you mean 'a'?`; empty where none is close."""
+    """The known words that may have been meant, as ` did you mean 'a'?`; empty if none is similar."""
     import difflib
 
     close = {name: None for word in words for name in difflib.get_close_matches(word, known, n=1, cutoff=0.7)}
@@ -54,7 +54,7 @@ def did_you_mean(words: Iterable[str], known: Sequence[str]) -> str:
 
 
 def mistake(errors: Sequence["ErrorDetails"]) -> str:
-    """What is wrong with one value; several errors are of the alternatives that it may be."""
+    """What is wrong with one value; several errors belong to the alternatives of a union."""
     (first, *_), value = errors, errors[0]["input"]
     if first["type"] == "missing":
         return "is missing"

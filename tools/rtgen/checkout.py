@@ -1,15 +1,15 @@
-"""What rtgen reads: folders that the Python package holds too; and the repository, into which it renders."""
+"""What rtgen reads: folders that the Python package also contains, and the repository that it renders into."""
 
 from pathlib import Path
 
 from rtfiles.errors import UsageError
 
-# Links to folders of the repository, which become copies in the Python package.
+# Links to folders of the repository; the Python package has copies of the folders.
 SHIPPED = Path(__file__).with_name("shipped")
 
 
 def shipped(name: str) -> Path:
-    """The folder ``kconfig`` or ``recipes-tests``: that of the repository where there is one."""
+    """The folder ``kconfig`` or ``recipes-tests``, in the repository if there is one."""
     return (SHIPPED / name).resolve()
 
 

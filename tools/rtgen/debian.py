@@ -13,23 +13,23 @@ from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.output import print_note
 from rtgen.process import run
 
-# Folders that neither a board nor a compiler reads, a third of all bytes; and the settings of apt for this download.
+# Folders that neither a board nor a compiler reads, a third of all bytes; and apt's settings for this download.
 DROPPED = (
     *("usr/share/doc", "usr/share/man", "usr/share/locale", "usr/share/info", "usr/share/lintian", "dev"),
     "etc/apt/apt.conf.d/99mmdebstrap",
 )
 
-# The reason of a failure is read from what apt says.
+# The reason of a failure is taken from apt's output.
 ENGLISH = {"LC_ALL": "C.UTF-8"}
-# A download that failed, as apt reports it: the address, the reason.
+# apt's report of a failed download: the address, the reason.
 FAILED = re.compile(r"^ *E: Failed to fetch (\S+) +(.+)$", re.M)
-# The reasons where the index is not that of the files: the mirror, or a cache before it, is in the middle of an update.
+# The reasons when index and files do not match: the mirror, or a cache on the way, is being updated.
 OUT_OF_STEP = ("File has unexpected size", "Hash Sum mismatch", "404 ")
 
-# Debian's other names of its releases: under another name a cache on the way may hold files that belong together.
+# Other names of Debian's releases: under another name, a cache on the way may hold matching files.
 OTHER_NAMES = {"bookworm": "oldstable", "trixie": "stable"}
 
-# The file in which a hook of mmdebstrap lists the packages that were unpacked.
+# The file in which a hook of mmdebstrap lists the unpacked packages.
 LIST = "packages.list"
 
 
@@ -42,7 +42,7 @@ class PackageSource:
 
 
 def source(release: str | None = None) -> PackageSource:
-    """The source of a release's packages; without a release that of this machine, and elsewhere than on Debian 12's.
+    """The source of a release's packages; without a release, that of this machine, or of Debian 12 on other systems.
 
     On Debian the mirror is the machine's own. Only the main suite is used: it has everything, and the security suite's
     index may not match it.
@@ -58,7 +58,7 @@ def source(release: str | None = None) -> PackageSource:
 
 
 def mirror(listing: str, release: str) -> str | None:
-    """The URI of Debian's mirror in lines ``origin|URI|release|component``; None if there is none with this release.
+    """The URI of Debian's mirror in lines ``origin|URI|release|component``; None if none has this release.
 
     Before apt has fetched an index, its origin reads ``$(ORIGIN)``; then the URI decides.
     """
@@ -87,10 +87,9 @@ def extraction_mode() -> str:
 
 
 def download(attempt: Callable[[Mapping[str, str]], None]) -> None:
-    """Call an attempt to download packages with settings for apt, for which it raises InfrastructureError if apt fails.
+    """Call `attempt`, which downloads packages with settings for apt and raises InfrastructureError if apt fails.
 
-    Where index and files do not belong together, there is a second one, with settings that ask caches on the way for
-    what the mirror has now.
+    If index and files do not match, call it a second time, with settings that make caches on the way ask the mirror.
     """
     try:
         attempt({})
@@ -98,17 +97,17 @@ def download(attempt: Callable[[Mapping[str, str]], None]) -> None:
         if not is_out_of_step(error):
             raise
         print_note("Debian's mirror or a cache before it is in the middle of an update: downloading again, past caches")
-        # apt takes it for https, too.
+        # apt also uses it for https.
         attempt({"Acquire::http::No-Cache": "true"})
 
 
 def is_out_of_step(error: InfrastructureError) -> bool:
-    """Whether a download failed because index and files do not belong together."""
+    """Whether a download failed because index and files do not match."""
     return any(reason.startswith(OUT_OF_STEP) for _, reason in FAILED.findall(str(error)))
 
 
 def failed_download(output: str) -> str | None:
-    """What could not be downloaded and why, in one line, from the output of an apt; None if that was not the reason."""
+    """What could not be downloaded and why, in one line, from apt's output; None if no download failed."""
     failed = FAILED.search(output)
     if failed is None:
         return None
@@ -122,15 +121,15 @@ def extract(
     """Unpack packages of an architecture and their dependencies into an existing folder; the caller owns every file.
 
     Documentation, translations and files that match `dropped` (patterns of tar) are left out. Absolute symbolic links
-    become relative, so that they stay in the folder. apt's settings and lists are mmdebstrap's own: the machine's stay
-    as they are. Raises UsageError when this user may not unpack, InfrastructureError when mmdebstrap fails (network,
-    disk, a release or package that the mirror does not serve).
+    become relative, so that they stay in the folder. mmdebstrap uses its own apt settings and lists, and leaves the
+    machine's as they are. Raises UsageError when this user may not unpack, InfrastructureError when mmdebstrap fails
+    (network, disk, a release or package that the mirror does not serve).
     """
     mode = extraction_mode()
     archive = folder / "packages.tar"
     command = ["mmdebstrap", "--variant=extract", f"--mode={mode}", f"--architectures={architecture}"]
     command += [f'--extract-hook=ls "$1"/var/cache/apt/archives > "$1"/{LIST}']
-    # What a name stands for changes with Debian's next release.
+    # What a suite name stands for changes with Debian's next release.
     command += [f'--extract-hook=grep -qx "Codename: {source.release}" "$1"/var/lib/apt/lists/*Release']
     command += ["--format=tar", f"--include={','.join(names)}"]
 
@@ -151,7 +150,7 @@ def extract(
                 attempt({}, other)
             except InfrastructureError:
                 raise error from None
-        # mknod and foreign owners need rights that nothing here needs.
+        # mknod and other owners need rights that nothing here needs.
         excluded = [f"--exclude=./{name}" for name in (*DROPPED, *dropped)]
         run(["tar", "-x", "-f", str(archive), "-C", str(folder), "--no-same-owner", *excluded])
     except InfrastructureError as error:
@@ -173,14 +172,14 @@ def extract(
 
 
 def merge_usr(folder: Path) -> None:
-    """Link the folders that Debian has below /usr alone since Debian 13 to their old names, as its base-files does."""
+    """Link the old names of the folders that Debian 13 has only below /usr, as its base-files package does."""
     for name in ("bin", "sbin", "lib", "lib64"):
         if (folder / "usr" / name).is_dir() and not os.path.lexists(folder / name):
             (folder / name).symlink_to(f"usr/{name}")
 
 
 def relink(folder: Path) -> None:
-    """Make every absolute symbolic link below a folder relative; the folder stands for the root of the file system."""
+    """Make every absolute symbolic link below a folder relative; the folder is the root of the file system."""
     for parent, folders, files in os.walk(folder):
         for name in folders + files:
             link = Path(parent, name)

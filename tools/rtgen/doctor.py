@@ -1,4 +1,4 @@
-"""Whether this host can build an image with BitBake: what was found out about it, compared with doctor.yml."""
+"""Whether this host can build an image with BitBake: the facts about it, compared with doctor.yml."""
 
 import os
 import re
@@ -41,7 +41,7 @@ class Needs(Config):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Host:
-    """What was found out about a host. `versions` has None for a program that says no version."""
+    """The facts about a host. `versions` has None for a program that prints no version."""
 
     folder: Path
     versions: Mapping[str, str | None]
@@ -69,7 +69,7 @@ def load_needs() -> Needs:
 
 
 def inspect(folder: Path, needs: Needs) -> Host:
-    """Find out what a build in `folder` (which must exist) would have."""
+    """Find out what a build in `folder` (which must exist) has available."""
     existing = [name for name in needs.programs if shutil.which(name)]
     return Host(
         folder=folder.resolve(),
@@ -85,7 +85,7 @@ def inspect(folder: Path, needs: Needs) -> Host:
 
 
 def judge(host: Host, needs: Needs) -> list[Obstacle]:
-    """What stands against a build on a host, the fatal findings first."""
+    """What prevents or may spoil a build on a host, fatal findings first."""
     return sorted(_findings(host, needs), key=lambda finding: not finding.fatal)
 
 
@@ -154,7 +154,7 @@ def _resources(host: Host, needs: Needs) -> Iterator[Obstacle]:
             else "free some space, or build in a folder on a larger disk; "
             f"with kas/rm-work.yml {needs.disk_rm_work_gib} GiB are enough",
         )
-    # A machine of 8 GiB shows a little less, since the firmware and the kernel keep some.
+    # A machine with 8 GiB shows a little less, since the firmware and the kernel keep some.
     if memory_gib < 0.9 * needs.memory_gib:
         yield Obstacle(
             fatal=False,

@@ -1,7 +1,7 @@
-"""Write an image to an SD card that nobody uses, and read it back.
+"""Write an image to an unused SD card, and read it back.
 
-`check_device` reads /sys and /proc before anything is opened for writing; `write` copies and compares. A loop device is
-accepted as a card.
+`check_device` reads /sys and /proc before anything is opened for writing; `write` copies and compares. A loop device
+counts as a card.
 """
 
 import contextlib
@@ -29,8 +29,8 @@ PACKED = (".bz2", ".gz", ".lz4", ".xz", ".zst", ".zip")
 class Card:
     """A device that may be written to.
 
-    `sequence` is the kernel's number of this card: another one in the same reader, or behind the same name, has another
-    one. It is empty before Linux 5.15.
+    `sequence` is the kernel's number of this card: another card in the same reader, or with the same name, has another
+    number. It is empty before Linux 5.15.
     """
 
     path: Path
@@ -41,7 +41,7 @@ class Card:
 
 
 def check_image(image: Path) -> int:
-    """The size of an image in bytes. Raises UsageError if it is not that of a whole card with all its partitions."""
+    """The size of an image in bytes. Raises UsageError if it is not a whole card with all its partitions."""
     if image.suffix in PACKED:
         raise UsageError(f"{image}: packed, unpack it first: give the .wic file")
     try:
@@ -63,10 +63,10 @@ def check_image(image: Path) -> int:
 
 
 def partitions_end(head: bytes) -> int:
-    """The byte after the last partition in an MBR; with a GPT the end of the disk, over which its one partition goes.
+    """The byte after the last partition in an MBR; with a GPT the end of the disk, which its one partition covers.
 
-    An entry has 16 bytes: the type in byte 4 (0: unused), from byte 8 the first sector and the number of sectors. A GPT
-    of more than 2 TiB has the largest number instead (UEFI specification 2.10, 5.2.1 and 5.2.3).
+    An entry has 16 bytes: the type in byte 4 (0: unused), from byte 8 the first sector and the number of sectors. For a
+    GPT of more than 2 TiB, that is the largest number (UEFI specification 2.10, 5.2.1 and 5.2.3).
     """
     entries = [head[at : at + 16] for at in range(446, 510, 16)]
     extents = [
@@ -112,10 +112,10 @@ def check_device(device: Path, image_bytes: int, sys: Path = Path("/sys"), proc:
 
 
 def write(image: Path, size_bytes: int, card: Card, progress: Progress) -> str:
-    """Write an image of a size to a card, read it back, return its SHA-256. `progress` gets the step and its bytes.
+    """Write an image of `size_bytes` to a card, read it back, return its SHA-256.
 
-    Raises InfrastructureError when the card fails, is used by another program, is not the one that was checked, or
-    reads back wrong, and when the image cannot be read or has another size.
+    `progress` gets the step and its bytes. Raises InfrastructureError when the card fails, is in use, is not the one
+    that was checked, or reads back wrong, and when the image cannot be read or has another size.
     """
     try:
         # O_EXCL on a block device: the kernel refuses if it is mounted, and refuses to mount it while it is open.
@@ -123,7 +123,7 @@ def write(image: Path, size_bytes: int, card: Card, progress: Progress) -> str:
     except OSError as error:
         raise InfrastructureError(f"{card.path}: {error.strerror}") from error
     with FileIO(handle, "r+b") as device:
-        # Somebody was asked since the check, and may have changed cards.
+        # The user was asked since the check, and may have changed cards.
         if _read(_node(os.fstat(handle), Path("/sys")) / "diskseq") != card.sequence:
             raise InfrastructureError(f"{card.path}: another device than the one that was checked: nothing was written")
         try:
@@ -133,7 +133,7 @@ def write(image: Path, size_bytes: int, card: Card, progress: Progress) -> str:
             written = _compare(chunks, device, card, progress)
         except OSError as error:
             raise InfrastructureError(f"{card.path}: {error.strerror}") from error
-        # A loop device without partitions refuses this; those of a card are read again when it is inserted.
+        # A loop device without partitions refuses this; a card's partitions are read again when it is inserted.
         with contextlib.suppress(OSError):
             fcntl.ioctl(device, BLKRRPART)
     return written
@@ -155,7 +155,7 @@ def _chunks(image: Path) -> Iterator[bytes]:
 
 
 def _copy(image: Path, size_bytes: int, device: FileIO, progress: Progress) -> list[Chunk]:
-    """Write the image; what was written. It is read once: a build may replace it meanwhile."""
+    """Write the image; return its chunks. It is read only once, because a build may replace it meanwhile."""
     chunks: list[Chunk] = []
     done = 0
     for chunk in _chunks(image):
@@ -173,7 +173,7 @@ def _copy(image: Path, size_bytes: int, device: FileIO, progress: Progress) -> l
 
 
 def _compare(chunks: list[Chunk], device: FileIO, card: Card, progress: Progress) -> str:
-    """Read the card back; the SHA-256 of all that was written."""
+    """Read the card back; return the SHA-256 of everything that was written."""
     device.seek(0)
     total = hashlib.sha256()
     done = 0

@@ -1,4 +1,4 @@
-"""Build a PREEMPT_RT kernel from a pinned source of Debian, its RT patches and the fragment of a machine."""
+"""Build a PREEMPT_RT kernel from a pinned Debian source, its RT patches and the fragment of a machine."""
 
 import json
 import os
@@ -19,7 +19,7 @@ from rtgen.process import run
 SCHEMA = 1
 DEVICE_TREE = "omap4-panda-es-rt.dts"
 
-# With these the same source and options give the same bytes, independent of the builder and the time.
+# With these, the same source and options give the same bytes, whoever builds and whenever.
 _REPRODUCIBLE = {
     "KBUILD_BUILD_TIMESTAMP": "2014-04-24", "KBUILD_BUILD_USER": "rtgen", "KBUILD_BUILD_HOST": "meta-rt-tests",
     "KBUILD_BUILD_VERSION": "1", "LC_ALL": "C",
@@ -38,12 +38,12 @@ def plan(data: Data, machine: str, version: str | None = None) -> Verification:
 
 
 def build(data: Data, machine: str, verdict: Verification, version: str | None = None) -> Path:
-    """Build the kernel that was planned for a machine and a version; return its folder in the cache.
+    """Build the planned kernel of a machine and version; return its folder in the cache.
 
     The folder holds vmlinuz (zImage), config, modules/<release> (as in /lib/modules), dtbs/*.dtb, and kernel.json
-    (schema, release, version of the source, dtbs). Takes five minutes on two idle cores unless it is in the cache; an
-    interrupted build leaves nothing. Raises UsageError when the options do not hold, InfrastructureError when a tool is
-    missing or a step fails.
+    (schema, release, version of the source, dtbs). The build takes five minutes on two idle cores unless the kernel is
+    in the cache; an interrupted build leaves nothing. Raises UsageError when the options do not hold,
+    InfrastructureError when a tool is missing or a step fails.
     """
     if verdict.mismatches:
         raise UsageError(f"{verdict.subject}: options do not hold: {', '.join(m.symbol for m in verdict.mismatches)}")
@@ -81,7 +81,7 @@ def _make(folder: Path, objects: Path) -> list[str]:
     compiler = f"{CROSS_COMPILE}gcc"
     if shutil.which("ccache"):
         compiler = f"ccache {compiler}"
-        # The build folder's name changes with every build; without these ccache would never find an object again.
+        # The name of the build folder changes with every build; without these, ccache would never find an object again.
         variables |= {"CCACHE_BASEDIR": str(folder), "CCACHE_NOHASHDIR": "1"}
     settings = [f"{name}={value}" for name, value in variables.items()]
     # With the objects below the source, the kernel's make uses relative file names.
@@ -90,7 +90,7 @@ def _make(folder: Path, objects: Path) -> list[str]:
 
 
 def _add_device_tree(source: Path, device_tree: Path) -> None:
-    """Put the device tree beside the one it includes, and have the kernel's make build it."""
+    """Put the device tree next to the one that it includes, and make the kernel's build include it."""
     original = next(iter(sorted(source.glob("arch/arm/boot/dts/**/omap4-panda-es.dts"))), None)
     if original is None:
         raise InfrastructureError("the kernel's source has no omap4-panda-es.dts")

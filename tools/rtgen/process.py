@@ -33,7 +33,7 @@ def run(
     when it is not installed, takes too long, or fails; the message ends with the last lines of its output.
     """
     arguments = [str(word) for word in command]
-    # Files, not pipes: when we are killed, a program that prints while it cleans up would die of a broken pipe.
+    # Files, not pipes: if we are killed, a program that prints while it cleans up would die of a broken pipe.
     with tempfile.TemporaryFile() as output_file, tempfile.TemporaryFile() as errors_file:
         try:
             process = subprocess.Popen(
@@ -67,15 +67,15 @@ def run(
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    # The number of the group belongs to it as long as nobody has waited for the program.
+    # The group keeps its number until the program is waited for.
     if process.returncode is None:
-        # The whole group, as Ctrl-C in a terminal would reach it: mmdebstrap waits for its apt-get before it cleans up.
+        # The whole group, as with Ctrl-C in a terminal: mmdebstrap waits for its apt-get before it cleans up.
         os.killpg(process.pid, signal.SIGTERM)
         deadline = time.monotonic() + GRACE_S
         while os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None:
             if time.monotonic() >= deadline:
                 break
             time.sleep(POLL_S)
-        # The program may have left others behind.
+        # The program may have left other processes behind.
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()

@@ -1,7 +1,7 @@
 """Profiles: a YAML file that describes an image and its sources.
 
-`load_profile` takes the name of a profile that comes with rtgen or the path of a file, and raises UsageError with
-file and key path for values that are unknown or do not fit together.
+`load_profile` takes the name of a profile that comes with rtgen, or the path of a file. It raises UsageError with file
+and key path for values that are unknown or do not fit together.
 """
 
 import re
@@ -20,10 +20,10 @@ RELEASES_FILE = Path(__file__).parent / "layer" / "releases.yml"
 MACHINES_FILE = Path(__file__).parent / "layer" / "machines.yml"
 LAYER = "meta-rt-tests"  # the rendered folder
 
-Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has lists only
+Strings = Annotated[tuple[str, ...], Field(strict=False)]  # YAML has only lists
 
 
-# These values end up in recipes and shell: they hold no character that is syntax to BitBake, kas or a shell.
+# These values end up in recipes and shell, so they must not contain syntax of BitBake, kas or a shell.
 Commit = Annotated[str, matching(r"[0-9a-f]{40}", "a commit of 40 lower-case hex digits")]
 Url = Annotated[str, matching(r"(https?|git)://[\w.~:/@%+-]+", "an http(s) or git address")]
 Name = Annotated[str, matching(r"[a-z0-9][a-z0-9.+_-]*", "a name of lower-case letters, digits and . + _ -")]
@@ -36,8 +36,9 @@ Line = Annotated[
     str, matching(r"[^$\\\x00-\x1f\x7f-\x9f\u2028\u2029]+", "one line of printable text without $ and backslash")
 ]
 
-# Kinds of public keys, and the form of the base64 that follows: its beginning and its length, so that a truncated key
-# is refused (of RSA keys, which have any length from 1024 bits, three of four). For Python's re and for grep -E.
+# Kinds of public keys, and the form of the base64 text that follows: its beginning and its length, so that a truncated
+# key is refused (RSA keys have any length from 1024 bits; three of four truncations are refused). For Python's re and
+# for grep -E.
 _BASE64 = "[A-Za-z0-9+/]"
 KEY_TYPES = {
     "ssh-ed25519": f"AAAAC3NzaC1lZDI1NTE5AAAAI{_BASE64}{{43}}",
@@ -62,7 +63,7 @@ RtSource = Literal["branch", "mainline", "patch"]
 class KernelRecipe(Config):
     """A kernel recipe in the layers of a release: its series, and how it gets PREEMPT_RT (see `ProfileKernel`).
 
-    `collection`: the layer's name for BitBake (BBFILE_COLLECTIONS), if an image may do without the recipe's layer.
+    `collection`: the layer's name for BitBake (BBFILE_COLLECTIONS), if an image may do without the layer of the recipe.
     """
 
     versions: Strings
@@ -81,8 +82,8 @@ class RosDistro(Config):
 class Release(Config):
     """The facts of a Yocto release that a layer depends on; releases.yml explains each.
 
-    `modern`: BitBake and meta-ros as they are since 2022, with catkin-native, ros_distro classes, linux-yocto-rt, and
-    the newer names of variables and exceptions; false for those of 2013.
+    `modern`: BitBake and meta-ros since 2022, with catkin-native, ros_distro classes, linux-yocto-rt, and the newer
+    names of variables and exceptions; false for those of 2013.
     """
 
     modern: bool
@@ -100,7 +101,7 @@ class Release(Config):
     key_types: Annotated[tuple[KeyType, ...], Field(strict=False, min_length=1)]
 
     def with_layers_of(self, distro: str) -> Self:
-        """The release whose layers are those of images with one of its ROS distributions."""
+        """This release with the layers that images with one of its ROS distributions use."""
         version = self.ros_distros[distro].version
 
         def filled(names: Strings) -> Strings:
@@ -117,7 +118,7 @@ class Releases(Config):
 
 
 class KnownMachine(Config):
-    """What the layer has to know of a machine; machines.yml explains each key."""
+    """What the layer must know about a machine; machines.yml explains each key."""
 
     layer: str
     fragment: str
@@ -145,12 +146,12 @@ class Repository(Config):
     layers: Annotated[tuple[LayerPath, ...], Field(strict=False)] = ()
 
     def layer_names(self, name: str) -> list[str]:
-        """The names of its layers' folders; `name` is its own, for a layer at its top."""
+        """The names of its layers' folders; `name` is that of the repository, for a layer at its top."""
         return [name if layer == "." else layer.rpartition("/")[2] for layer in self.layers]
 
 
 class KernelSource(Config):
-    """A kernel tree and patch other than those of the recipe."""
+    """A kernel tree and patch that replace those of the recipe."""
 
     url: Url
     branch: Branch
@@ -198,7 +199,7 @@ class SdCard(Config):
 
 
 class ProfileMachine(Config):
-    """A machine of the profile. `sd_card` is for machines of our layer; others have image types of their own."""
+    """A machine of the profile. `sd_card` is for machines of our layer; others have their own image types."""
 
     kernel: ProfileKernel
     serial_console: SerialConsole
@@ -265,7 +266,7 @@ def profile_names() -> list[str]:
 
 
 def profile_path(name: str) -> Path:
-    """The file of a profile, given by a name that comes with rtgen or by a path ending in .yml."""
+    """The file of a profile: by the name of one that comes with rtgen, or by a path that ends with .yml."""
     if name.endswith(".yml"):
         return Path(name)
     if name not in profile_names():
@@ -274,7 +275,7 @@ def profile_path(name: str) -> Path:
 
 
 def load_profile(name: str) -> tuple[Profile, Release]:
-    """Read a profile and the release that it names. Raises UsageError with a line for each value that does not fit."""
+    """Read a profile and its release. Raises UsageError with a line for each value that does not fit."""
     path = profile_path(name)
     profile = load(path, Profile)
     releases = load_releases()

@@ -1,4 +1,4 @@
-"""Build the packages of recipes-tests one after the other, for this machine and the ROS it has, or for a board."""
+"""Build the packages of recipes-tests one after another, for this machine and its ROS, or for a board."""
 
 import hashlib
 import json
@@ -23,35 +23,35 @@ from rtgen.process import run
 
 SCHEMA = 1
 TOOLCHAIN_FILE = Path(__file__).with_name("debian.cmake")
-# The script below sources() that builds packages with a ROS of the machine.
+# The script in sources() that builds packages with a ROS of this machine.
 ROS_SCRIPT = "build.sh"
 FLAGS = "-O2"
 SUPPORT = "rt_tests_support"
-# What observes a target while it measures, in C.
+# The C program that observes a target while it measures.
 SAMPLER = "rt_tests_sampler"
-# What hosts the nodes of a graph.
+# The package that hosts the nodes of a graph.
 GRAPH = "topology_tests"
-# communication_tests and nodes of graphs through transports without ROS, a folder each; all other packages are suites.
+# communication_tests and graph nodes over transports without ROS, a folder each; all other packages are suites.
 TRANSPORTS = "transport_tests"
 WITHOUT_ROS = (SUPPORT, SAMPLER, TRANSPORTS)
-# The middleware whose programs have the plain names of suites.yml.
+# The programs of this middleware have the plain names of suites.yml.
 FIRST_MIDDLEWARE = "roscpp"
-# The name of this machine among those that suites are built for.
+# The name of this machine in the list of machines to build for.
 HOST = "host"
 
 # Debian packages whose versions change the result of a native build.
 HOST_PACKAGES = ("catkin", "libroscpp-dev", "python3-gencpp", "ros-message-generation")
-# The Python for which Debian's catkin and genmsg are installed; rtgen may run in another one.
+# The Python of Debian's catkin and genmsg; rtgen may run in another one.
 SYSTEM_PYTHON = "/usr/bin/python3"
-# Only C++ messages are needed; for other languages the target would need packages, too.
+# Only C++ messages are needed; for other languages the target would need more packages.
 ROS_LANG_DISABLE = "genlisp:genpy"
 
 
 @dataclass(frozen=True)
 class Toolchain:
-    """The compiler and its flags, the architecture, sysroot and Debian's release of a board (None: this machine).
+    """The compiler and its flags, and a board's architecture, sysroot and Debian release (None: this machine).
 
-    `identity` is what distinguishes them in the cache. `has_roscpp`: there is a ROS 1 to build for.
+    `identity` distinguishes toolchains in the cache. `has_roscpp`: there is a ROS 1 to build for.
     """
 
     compiler: str
@@ -69,19 +69,19 @@ def sources() -> Path:
 
 
 def packages() -> list[str]:
-    """The packages in the order of their dependencies."""
+    """The packages, ordered by dependencies."""
     return [SUPPORT, SAMPLER, *read_yaml(sources() / "suites.yml")["suites"], GRAPH, TRANSPORTS]
 
 
 def transports() -> dict[str, list[str]]:
-    """The packages of Debian that each transport needs, by its name; one whose packages are missing is not built."""
+    """The Debian packages that each transport needs, by its name; a transport with missing packages is not built."""
     fragments = sorted((sources() / TRANSPORTS).glob("*/transport.cmake"))
     lines = {path.parent.name: re.search(r"^set\(packages(.*)\)$", path.read_text(), re.M) for path in fragments}
     return {name: line[1].split() if line else [] for name, line in lines.items()}
 
 
 def installed_for_transports() -> list[str]:
-    """Name and version of what this machine has of the transports' packages; nothing where it is no Debian."""
+    """Names and versions of the transports' packages on this machine; empty if it is not Debian."""
     wanted = {package for packages in transports().values() for package in packages}
     try:
         installed = run(["dpkg-query", "--show"]).splitlines()
@@ -96,11 +96,11 @@ def names() -> list[str]:
 
 
 def toolchain(machine: str, suite: str | None, ros2: Path | None = None) -> Toolchain:
-    """Find or make the tools of a machine's build.
+    """Find or make the tools for a machine's build.
 
-    A board's programs are linked against the packages of Debian's `suite` (None: this machine's own). This machine
-    needs no ROS 1 where it has a ROS 2, in the folder `ros2`. Raises UsageError for an unknown machine, suite or ROS 2,
-    InfrastructureError when a tool or package is missing.
+    A board's programs are linked against the packages of Debian's `suite` (None: the suite of this machine). This
+    machine needs no ROS 1 if it has a ROS 2, in the folder `ros2`. Raises UsageError for an unknown machine, suite or
+    ROS 2, InfrastructureError when a tool or package is missing.
     """
     if machine not in names():
         raise UsageError(unknown("machine", machine, known=names()))
@@ -126,18 +126,19 @@ def toolchain(machine: str, suite: str | None, ros2: Path | None = None) -> Tool
     compiler = f"{architecture.triplet}-g++"
     flags = " ".join([FLAGS, *board_packages.packages().releases[source.release].flags])
     root = sysroot.build(name, source)
-    # A transport's generator of code runs on this machine; one that is missing may be there at the next build.
+    # A transport's code generator runs on this machine; if it is missing now, it may be there at the next build.
     identity = (version(compiler), repr(architecture), str(root), *installed_for_transports())
     return Toolchain(compiler, flags, architecture, root, source.release, identity)
 
 
 def build(machine: str, place: Path, suite: str | None = None, ros2: Path | None = None) -> Path:
-    """Build for `host` or a board of Debian's suite; return `place`/<machine>, a link to a copy of it beside the link.
+    """Build for `host` or a board with Debian's suite; return `place`/<machine>, a link to a copy next to the link.
 
-    With `ros2`, the folder of one on this machine, the programs on rcl, and on rclcpp where there is that, are built,
-    too; those on roscpp where there is a ROS 1. The link is none into the cache: that belongs to the user who builds,
-    and others may run the suites. Takes about half a minute, and as long again for a ROS 2; an unchanged build is taken
-    from the cache. Raises UsageError as `toolchain` does and InfrastructureError with the compiler's output.
+    With `ros2`, the folder of a ROS 2 on this machine, the programs on rcl are built too, and those on rclcpp if it has
+    that; the programs on roscpp are built where there is a ROS 1. The link does not point into the cache: the cache
+    belongs to the user who builds, and others may run the suites. A build takes about half a minute, and as long again
+    for a ROS 2; an unchanged build is taken from the cache. Raises UsageError as `toolchain` does, and
+    InfrastructureError with the compiler's output.
     """
     tools = toolchain(machine, suite, ros2)
     folder = sources()
@@ -167,12 +168,12 @@ def build(machine: str, place: Path, suite: str | None = None, ros2: Path | None
         }
         atomic.write_text(result / "build.json", json.dumps(record, indent=2) + "\n")
 
-    # The record names the machine, so each machine needs an entry of its own.
+    # The record names the machine, so each machine needs its own entry.
     entry = cache.entry("suites", f"{machine}-{key}", build_in)
     if ros2 is not None:
         entry = with_ros2(entry, ros2)
     copy = place / f".{entry.name}"
-    # Two builds at once wait for the same entry, and are here at the same moment.
+    # Two concurrent builds wait for the same entry, and arrive here at the same moment.
     with cache.locked("suites", f"{machine}.place"):
         atomic.copy_folder(entry, copy)
         atomic.replace_link(place / machine, copy.name)
@@ -183,7 +184,7 @@ def build(machine: str, place: Path, suite: str | None = None, ros2: Path | None
 
 
 def build_on(target: Path) -> int:
-    """Let the runner build them on the target of this file, which it reaches; return its exit status."""
+    """Let the runner build the suites on the target of this file, which it can reach; return its exit status."""
     return subprocess.run(
         [sys.executable, "-m", "rtrun.cli", "build-suites", str(sources()), "--target", str(target)], check=False
     ).returncode
@@ -199,7 +200,7 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
         "CMAKE_C_FLAGS": tools.flags,
         "CMAKE_CXX_FLAGS": tools.flags,
         "CATKIN_ENABLE_TESTING": "OFF",
-        # catkin of Debian 12 and of Debian 13 read one each.
+        # catkin of Debian 12 reads one of these, that of Debian 13 the other.
         "PYTHON_EXECUTABLE": SYSTEM_PYTHON,
         "Python_EXECUTABLE": SYSTEM_PYTHON,
     }
@@ -218,9 +219,9 @@ def build_package(source: Path, temporary: Path, stage: Path, tools: Toolchain) 
 
 
 def with_ros2(entry: Path, ros2: Path) -> Path:
-    """Another entry of the cache: what this one has, built for this machine, and the suites on its ROS 2.
+    """Another cache entry: the content of `entry`, built for this machine, and the suites on its ROS 2.
 
-    Its record says under `ros2` what they were built with.
+    Its record states under `ros2` what they were built with.
     """
     installed = cache.digest(sorted(ros2.glob("share/*/package.xml")))
     script = sources() / ROS_SCRIPT
@@ -231,14 +232,14 @@ def with_ros2(entry: Path, ros2: Path) -> Path:
         suites = [package for package in packages() if package not in WITHOUT_ROS]
         with tempfile.TemporaryDirectory(prefix="rtgen-suites-") as temporary:
             work, stage = Path(temporary) / "work", Path(temporary) / "stage"
-            # The transports again: over the DDS of this ROS 2, where it has one.
+            # The transports again: over the DDS of this ROS 2, if it has one.
             words: list[str | Path] = [ros2 / "setup.sh", work, stage, SUPPORT, *suites, TRANSPORTS]
             environment = _environment(Path(temporary)) | {"CFLAGS": FLAGS, "CXXFLAGS": FLAGS}
             output = run(["sh", script, *words], environment=environment)
             for package in (*suites, TRANSPORTS):
                 shutil.copytree(stage / "lib" / package, result / "lib" / package, dirs_exist_ok=True)
         record = json.loads((result / "build.json").read_text(encoding="utf-8"))
-        del record["files"]  # the last one again
+        del record["files"]  # added again at the end
         record["middlewares"] = built = middlewares(result)
         record["not_built"] = {name: needed for name, needed in transports().items() if name not in built}
         record["ros2"] = {"prefix": str(ros2)} | dict(line.split(" ", 1) for line in output.splitlines())
@@ -258,7 +259,7 @@ def _environment(temporary: Path) -> dict[str, str]:
 
 
 def collect(stage: Path, result: Path) -> None:
-    """Copy from the stage the programs, the launch files, and the files by which rosrun and roslaunch find them."""
+    """Copy the programs, the launch files, and the files for rosrun and roslaunch from the stage."""
     (result / ".catkin").touch()
     for package in packages():
         if not (stage / "lib" / package).is_dir():
@@ -272,7 +273,7 @@ def collect(stage: Path, result: Path) -> None:
 
 
 def middlewares(folder: Path) -> dict[str, list[str]]:
-    """The programs of suites.yml that a folder has for each middleware, of which all but roscpp's carry its name."""
+    """The programs of suites.yml in a folder, by middleware; all except roscpp's carry its name."""
     names = sorted(path.name for path in folder.glob("lib/*/*"))
     found: dict[str, list[str]] = {}
     for suite in read_yaml(folder / "suites.yml")["suites"].values():

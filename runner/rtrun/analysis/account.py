@@ -1,6 +1,6 @@
-"""The account of the evidence: all that is known of runs alike, and all that is known to be missing, for one deadline.
+"""The account of the evidence for one deadline: what is known of runs of one kind, and what is known to be missing.
 
-An answer is given by this and nothing else (`deadline.judge`); `rtrun.evidence` takes it from a folder of runs.
+`deadline.judge` answers from the account alone. `rtrun.evidence` makes it from a folder of runs.
 """
 
 import math
@@ -18,10 +18,10 @@ HOURS = 24  # of a day
 class Account:
     """Runs of one set of parameters, how they were measured, and what was attempted beside them.
 
-    `side_by_side` outputs measure one event each time, as the subscribers of one message do: their values count as one,
-    and `period_ns` is that of one stream divided by their number.
-    `lost` are attempts beside these runs of which nothing is judged, a sentence each. Of the time of an observation,
-    `unseen_share` was not seen, and `hidden_share` because of load.
+    `side_by_side` outputs measure the same event, as the subscribers of one message do. Their values count as one, and
+    `period_ns` is the period of one stream divided by their number.
+    `lost` has a sentence for each attempt that gave nothing to judge. `unseen_share` is the part of the time of an
+    observation that was not seen, `hidden_share` the part that was not seen because of load.
     """
 
     runs: Sequence[Trials]
@@ -34,13 +34,13 @@ class Account:
     unseen_share: float = 0.0
     hidden_share: float = 0.0
     hours: int | None = None
-    """Of the day, in which these runs were measured; None: that is not known."""
+    """How many hours of the day these runs were measured in; None if not known."""
     startup: LeftOut | None = None
-    """What the trials lack: the first loops of each run."""
+    """The first loops of each run, which the trials leave out."""
 
     @property
     def measurements_per_event(self) -> int:
-        """So many measurements of one event count as one."""
+        """How many measurements of one event count as one."""
         return math.ceil(self.side_by_side)
 
     @property
@@ -60,7 +60,7 @@ class Account:
 
     @property
     def boots_known(self) -> int:
-        """The boots that are known. All others together are none, or one where none is known."""
+        """How many boots are known. The others do not count, or count as one where no boot is known."""
         return len({run.boot for run in self.runs if run.boot}) or 1
 
     @property
@@ -75,5 +75,5 @@ class Account:
 
     @property
     def units(self) -> int:
-        """How many of them were measured."""
+        """How many boots or runs (`unit`) were measured."""
         return self.boots_known if self.unit == "boot" else self.measured

@@ -28,7 +28,7 @@ from rtrun.analysis.order.trends import Climb
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials
 from rtrun.plan.question import NONE_TOLERATED, Bursts, Question, bursts_asked, unlike_share
 
-# Lengths of bursts for which a proof says how much longer it would have to measure.
+# For these lengths of bursts, a proof says how many more measurements would cover them.
 BURSTS = (20, 50)
 
 
@@ -47,7 +47,7 @@ class Answer(StrEnum):
 class Unlike:
     """Units of another kind may exist, though none was among those `measured`: at most this `share` of all units.
 
-    The share holds at the confidence asked for. Of the hours of a day it is the part in which nothing was measured.
+    The share holds at the confidence asked for. For hours, it is the part of the day in which nothing was measured.
     """
 
     unit: Literal["run", "boot", "board", "hour"]
@@ -60,23 +60,23 @@ class Verdict:
     """The answer to one deadline.
 
     ``lower`` and ``upper`` bound P(miss) at the confidence asked for, however often somebody looks
-    (`anytime_interval`). ``boots`` counts the boots that were measured, None where they are not known;
-    ``boots_known`` are those that are known, all others together are none, or one where none is known. ``boards``
-    counts the boards that were measured. ``longest_burst`` is the mean length of bursts of misses, none of which was
-    seen, up to which PROVEN would hold; it has to cover ``bursts``, which are ``bursts_by_default`` long where nobody
-    asks otherwise; ``further_for_bursts`` gives (length, measurements without a miss that would cover it). ``episodes``
-    of misses are None where no order was kept.
+    (`anytime_interval`). ``boots`` counts the boots that were measured, None where one is not known. ``boots_known``
+    counts the known ones: the others do not count, or count as one where no boot is known. ``boards`` counts the boards
+    that were measured. ``longest_burst`` is the mean length of unseen bursts of misses up to which PROVEN would hold.
+    It has to cover ``bursts``, which are ``bursts_by_default`` long unless the question asks otherwise;
+    ``further_for_bursts`` gives (length, measurements without a miss that would cover it). ``episodes`` of misses are
+    None where no order was kept.
 
-    ``further`` measurements without any further miss would give PROVEN (0: it is given, None: no number would), which
-    has the chance ``further_chance``. ``further_likely`` gives (answer, measurements) that nine times in ten are enough
-    if misses go on at the rate seen, None where no number is.
+    ``further`` measurements without another miss would give PROVEN (0: it is given, None: no number would);
+    ``further_chance`` is the chance that no miss comes. ``further_likely`` gives (answer, measurements): so many
+    suffice nine times in ten if misses go on at the rate seen. None where no number does.
 
-    ``lost`` are attempts of which nothing is judged, beside ``runs`` that are, a sentence each; where there are some,
-    it takes ``units_missing`` more units (``unit``: boots, or runs of one boot) that end well to outweigh them, None
-    where no number does. ``unseen_share`` of the time of an observation was not seen,
-    ``hidden_share`` because of load, which counts as late; ``lower`` and ``upper`` have both in them. ``unlike`` says
-    what may be otherwise than all that was measured, ``climbs`` which climb from boot to boot and from run to run would
-    have been seen. ``startup`` is in none of these numbers.
+    ``runs`` counts the runs that are judged. ``lost`` has a sentence for each attempt that gave nothing to judge; to
+    outweigh these, ``units_missing`` more units (``unit``: boots, or runs of one boot) have to end well, None where no
+    number is enough. ``unseen_share`` is the part of the time of an observation that was not seen, ``hidden_share`` the
+    part not seen because of load, which counts as late; ``lower`` and ``upper`` include both. ``unlike`` says what may
+    differ from everything that was measured, ``climbs`` which climb from boot to boot and from run to run would have
+    been seen. None of these numbers includes ``startup``.
     """
 
     answer: Answer
@@ -122,12 +122,12 @@ class Verdict:
 
     @property
     def boots_missing(self) -> int:
-        """How many more boots the answer is to rest on."""
+        """How many more boots the question asks for."""
         return max(0, self.question.boots - self.boots_known)
 
     @property
     def unlike_share(self) -> float | None:
-        """That of boots among `unlike`; None for boots that are not known."""
+        """The share of boots in `unlike`; None where the boots are not known."""
         return next((each.share for each in self.unlike if each.unit == "boot"), None)
 
     def hours(self, measurements: int) -> float | None:
@@ -136,14 +136,14 @@ class Verdict:
 
 
 def judge(account: Account, question: Question) -> Verdict:
-    """Answer a question by an account of the evidence.
+    """Answer a question from an account of the evidence.
 
-    PROVEN: the interval's upper end is below it, and no run shows a change. IF_INDEPENDENT: the same, from counts that
-    kept no order. REFUTED: the lower end is above it, after a change that of the later half, too. Else, and with fewer
-    boots than asked for, NEEDS MORE, with how many.
-    An attempt that was lost counts as a unit (a boot, or a run of one boot) that was late throughout, and so does the
-    time of an observation that load hid: what was seen beside it is the lucky part. For a refutation, time that was not
-    seen holds no miss.
+    PROVEN: the interval's upper end is below the question's probability, and no run shows a change. IF_INDEPENDENT: the
+    same, from counts that kept no order. REFUTED: the lower end is above it; after a change, that of the later half is,
+    too. Otherwise, and with fewer boots than asked for: NEEDS MORE, with how many.
+    A lost attempt counts as a unit (a boot, or a run of one boot) that was late throughout. So does the time of an
+    observation that load hid, because what was seen is the lucky part. For a refutation, time that was not seen holds
+    no miss.
     Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
     Raises ValueError when probability or confidence is not between 0 and 1.
     """
@@ -178,11 +178,11 @@ def judge(account: Account, question: Question) -> Verdict:
     longest_seen = episodes.most_in_a_row if episodes else 1
     bursts = bursts_asked(question, account.stream_ns, longest_seen)
     per_event = account.measurements_per_event
-    # Of streams that are late together each has its part of a burst.
+    # Streams that are late together share a burst: each has a part of it.
     asked = replace(
         question,
         bursts=bursts.length * per_event if bursts.length > 1 else 1,
-        # What is still to be measured is measured on the boots that were asked for.
+        # Further measurements are expected on at least the boots that were asked for.
         confidence=of_few(confidence, max(boots, question.boots)),
     )
     lower, upper = lower * (1 - account.unseen_share), min(1.0, upper + late_share)
@@ -247,7 +247,7 @@ def judge(account: Account, question: Question) -> Verdict:
 
 
 def _later_refutes(alike: Sequence[CountedRun], effect: float, probability: float, confidence: float) -> bool:
-    """Whether the later half of what was measured refutes it alone: a system that got better is not what it was."""
+    """Whether the later half of the measurements refutes alone: a system that got better is no longer what it was."""
     half = sum(each.n for each in alike) / 2
     middles = np.cumsum([each.n for each in alike]) - [each.n / 2 for each in alike]
     later = [each for each, middle in zip(alike, middles, strict=True) if middle >= half]
@@ -256,7 +256,7 @@ def _later_refutes(alike: Sequence[CountedRun], effect: float, probability: floa
 
 
 def _unlike(account: Account, question: Question) -> tuple[Unlike, ...]:
-    """What may be otherwise than all that was measured; runs of one boot, or of boots that are not known, among it."""
+    """What may differ from everything that was measured: also runs, where there is one boot or boots are not known."""
     if not account.measured:
         return ()
     units: list[tuple[Literal["run", "boot", "board"], int]] = [("board", account.boards)]
@@ -271,19 +271,19 @@ def _unlike(account: Account, question: Question) -> tuple[Unlike, ...]:
 
 
 def _shared(confidence: float, account: Account) -> float:
-    """The confidence of each of two bounds that hold together: of what was measured, and of units that were lost."""
+    """The confidence of each of two bounds that hold together: for what was measured, and for lost units."""
     return (1 + confidence) / 2 if account.lost else confidence
 
 
 def _late_share(question: Question, account: Account) -> float:
-    """The share of all units that may be like those lost, or was hidden by load: late throughout, for all one knows."""
+    """The share of units that may be like the lost ones, or that load hid: they may all have been late throughout."""
     lost = len(account.lost)
     of_units = anytime_upper(lost, account.units + lost, _shared(question.confidence, account)) if lost else 0.0
     return min(1.0, of_units + account.hidden_share)
 
 
 def _units_missing(question: Question, account: Account) -> int | None:
-    """How many more units that end well leave half of the probability to what was measured."""
+    """How many more units have to end well to leave half of the probability to what was measured."""
     lost = len(account.lost)
     most = question.probability / 2 - account.hidden_share
     if not lost:
@@ -296,9 +296,9 @@ def _units_missing(question: Question, account: Account) -> int | None:
 
 
 def _episodes(runs: Sequence[Trials], question: Question, account: Account, confidence: float) -> Episodes | None:
-    """The episodes of misses, which are judged as misses are: with the dependence that is between them.
+    """The episodes of misses, which are judged like misses: with the dependence between them.
 
-    There is no bound where attempts were lost or load hid a part of the time, which may hold any number of them.
+    There is no bound where attempts were lost or load hid some time: these may hold any number of episodes.
     """
     found = [run.episodes for run in runs if run.episodes is not None]
     if len(found) < len(runs) or not found:
@@ -337,7 +337,7 @@ def _refusal(question: Question, account: Account) -> str | None:
 def _further_for_bursts(
     misses: float, n: int, effect: float, question: Question, per_event: int
 ) -> tuple[tuple[int, int], ...]:
-    """(length of bursts, measurements without a miss that would cover them), as far as more are missing."""
+    """(length of bursts, measurements without a miss that would cover them), for lengths that are not covered yet."""
     asked = [(length, replace(question, bursts=length * per_event)) for length in BURSTS]
     return tuple((length, more) for length, each in asked if (more := missing_without_miss(misses, n, effect, each)))
 
@@ -379,16 +379,16 @@ def _effect_of_runs(
     own = effect_of_few(np.concatenate(places), int(starts[-1])) if misses > 1 else 1.0
     levels = [run.level for run in runs if run.level is not None]
     assumes = () if levels else ("independent measurements: too few to see bursts",)
-    # Of a long run the highest values are a smaller share than of a short one.
+    # The highest values are a smaller share of a long run than of a short one.
     within = max(own, _widened(levels, confidence)) if levels else own
     return max(measurements_per_event * within, between), assumes
 
 
 def _effect_between(runs: Sequence[Trials], alike: Sequence[CountedRun], confidence: float) -> float:
-    """The design effect of boards and of boots, the larger one; of runs, where all are of one boot and differ beyond
+    """The larger design effect of boards and of boots; that of runs, where all are of one boot and differ beyond
     chance. 0 where there is none.
 
-    Few boots tell little of how boots differ: the effect is widened by (t/z)^2 with boots - 1 degrees of freedom
+    Few boots tell little about how boots differ: the effect is widened by (t/z)^2 with boots - 1 degrees of freedom
     (Korn & Graubard 1998), but not beyond what it would be if each boot's misses were one burst, 1 + misses / boots.
     The same holds for boards. Runs of an unknown boot count as a boot each.
     """
@@ -403,7 +403,7 @@ def _effect_between(runs: Sequence[Trials], alike: Sequence[CountedRun], confide
 
 
 def _effect_of_clusters(clusters: Sequence[Cluster], confidence: float) -> float:
-    """Of unlike lengths as many count as would make the same mean if they were alike (Kish 1965)."""
+    """The design effect of clusters, widened. Their effective number takes unequal lengths into account (Kish 1965)."""
     clusters = [cluster for cluster in clusters if cluster[0]]
     misses = sum(events for _, events in clusters)
     if len(clusters) < 2 or not misses:
@@ -422,7 +422,7 @@ def _few(degrees: float, confidence: float) -> float:
 def _widened(parts: Sequence[Events], confidence: float) -> float:
     """The design effect, larger where it rests on few bursts: their number counts as degrees of freedom.
 
-    It is not beyond what it would be if all events were one burst.
+    It never exceeds what it would be if all events were one burst.
     """
     effect, count = design_effect(*parts), sum(part.count for part in parts)
     if effect == 1:

@@ -38,8 +38,8 @@ class Figures:
     values is their maximum. ``std_ns`` is the sample standard deviation (divisor n - 1; 0 for one value). ``top``
     falls from the highest, ``lowest`` rises from the lowest value; equal values stand in the order of their
     measurement. Figures of a histogram are lower bin edges, as the 2014 programs print them; ``bin_ns`` is the width of
-    a bin, 1 for samples. ``overflow`` values are known by number only: a figure that depends on them is None unless
-    the program that measured printed it.
+    a bin, 1 for samples. Only the number of ``overflow`` values is known: a figure that depends on them is None unless
+    the measuring program printed it.
     """
 
     n: int
@@ -101,7 +101,7 @@ def figures_of_samples(values_ns: Int64s, indices: NDArray[np.int64] | None = No
 
 
 def _thin_range(values: Int64s) -> tuple[int, int]:
-    """Where nearly all of the values lie, by a thin sample: one value of an hour does not make it wide."""
+    """Where nearly all of the values lie, from a thin sample: a single value of an hour does not widen the range."""
     thin = np.sort(values[:: max(1, values.size // _THIN)])
     beyond = thin.size // 1000
     return int(thin[beyond]), int(thin[-1 - beyond])
@@ -153,19 +153,19 @@ def _bins(values: Int64s, start: int, stop: int) -> _Binned:
 def _order_statistics(values: Int64s, binned: _Binned, listed: int) -> tuple[list[int], NDArray[np.intp]]:
     """The `listed` lowest values and the `listed` highest, both rising, then the percentiles.
 
-    With them the positions of all values in their bins.
+    Also the positions of all values in the bins of these.
     """
     n = values.size
     ranks = [*range(1, listed + 1), *range(n - listed + 1, n + 1), *(rank(n, p) for p in PERCENTILES)]
     of_ranks = np.searchsorted(np.cumsum(binned.counts), ranks)
-    # Below the last of the lowest and above the first of the highest every bin is wanted, between them few are.
+    # All bins up to the last of the lowest and from the first of the highest on are wanted, and few between.
     below, above = int(of_ranks[listed - 1]), int(of_ranks[listed])
-    # Sets of a few: np.unique would load numpy.ma, which takes as long as all of this.
+    # Small sets: np.unique would load numpy.ma, which takes as long as all of this.
     between = [place for place in set(of_ranks[2 * listed :].tolist()) if below < place < above]
     wanted = np.zeros(_BINS, np.bool_)
     wanted[: below + 1] = wanted[above:] = wanted[between] = True
     positions = np.concatenate([_places_among(binned.places, piece, below, above, between) for piece in pieces(n)])
-    # A rank among these values is lower by the values of lower bins that are not wanted.
+    # Among these values, a rank is lower by the number of values in unwanted lower bins.
     left_out = np.cumsum(np.where(wanted, 0, binned.counts))
     among = np.array(ranks) - 1 - left_out[of_ranks]
     ordered = np.partition(values[positions], list(set(among.tolist())))
@@ -177,7 +177,7 @@ def _places_among(
 ) -> NDArray[np.intp]:
     """Where in a piece a place is at most `below`, at least `above` or one of those between.
 
-    A few comparisons of whole pieces take a third of the time of one table that each place is looked up in.
+    Comparing whole pieces a few times takes a third of the time of looking up each place in a table.
     """
     part = places[piece]
     chosen = part <= below
@@ -193,8 +193,8 @@ def figures_of_histogram(
 ) -> Figures:
     """Figures of counts, shape of both arrays (bins,).
 
-    `top` and `lowest` are lists of the same values, best first, that a log prints with their indices; a value beyond
-    the end of a list has no index.
+    `top` and `lowest` are the same values as a log lists them with their indices, the most extreme first. A value
+    beyond the end of a list has no index.
     """
     if histogram.n == 0:
         return Figures(n=0, bin_ns=histogram.bin_ns)

@@ -17,8 +17,8 @@ class Histogram:
     """Bins of equal width: ``values_ns[i]`` is the lower edge of a bin that holds ``counts[i]`` measurements.
 
     ``values_ns`` is strictly ascending, ``counts`` are positive; both int64. ``overflow`` values lie at or above
-    ``overflow_from_ns`` and are known by number only (cyclictest -h counts them so); ``max_ns`` and ``mean_ns`` are the
-    largest and the mean of all values, overflow with them, where the program that measured printed them.
+    ``overflow_from_ns``, and only their number is known (cyclictest -h counts them so). ``max_ns`` and ``mean_ns`` are
+    the largest and the mean of all values, including the overflow, where the measuring program printed them.
     """
 
     values_ns: Int64s
@@ -31,13 +31,13 @@ class Histogram:
 
     @property
     def n(self) -> int:
-        """Measurements, the overflow with them."""
+        """Measurements, including the overflow."""
         return int(self.counts.sum()) + self.overflow
 
     def above(self, limit_ns: int) -> int:
-        """Measurements above a limit; those in the bin that holds it are taken as above it, unless it ends the bin.
+        """Measurements above a limit; those in the bin that holds the limit count as above, unless it ends the bin.
 
-        A largest value that was printed is the lower edge of a bin, too.
+        A printed largest value is the lower edge of a bin, too.
         Raises ValueError when the limit lies in the overflow, where nothing is known.
         """
         if self.overflow and self.max_ns is not None and self.max_ns <= limit_ns - self.bin_ns + 1:
@@ -47,7 +47,7 @@ class Histogram:
         return int(self.counts[are_late(self.values_ns, limit_ns, self.bin_ns)].sum()) + self.overflow
 
     def unclear(self, limit_ns: int) -> int:
-        """How many of those above a limit may as well lie at or below it, in the same bin."""
+        """How many of the measurements above a limit may also lie at or below it, in the same bin."""
         holds_limit = are_late(self.values_ns, limit_ns, self.bin_ns) & ~are_late(self.values_ns, limit_ns)
         return int(self.counts[holds_limit].sum())
 
@@ -67,7 +67,7 @@ def from_samples(values_ns: Int64s, bin_ns: int = 1000) -> Histogram:
         edges, counts = np.unique(np.floor_divide(values, bin_ns), return_counts=True)
         return Histogram(values_ns=edges * bin_ns, counts=counts.astype(np.int64), bin_ns=bin_ns)
     counts = np.zeros(high - low + 1, np.int64)
-    # A piece has as many values as there are bins at least, so that adding up the bins costs no more than filling them.
+    # A piece has at least as many values as there are bins, so adding up the bins costs no more than filling them.
     for piece in pieces(values.size, counts.size):
         bins = np.floor_divide(values[piece], bin_ns)
         counts += np.bincount(np.subtract(bins, low, out=bins), minlength=counts.size)
@@ -111,7 +111,7 @@ def merge(parts: Iterable[Histogram]) -> Histogram:
 
 
 def _largest(parts: list[Histogram]) -> int | None:
-    """The largest value of all, as far as each part tells its own."""
+    """The largest value of all; None where a part does not know its own."""
     largest = []
     for part in parts:
         if part.max_ns is None and part.overflow:

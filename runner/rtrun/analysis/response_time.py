@@ -1,16 +1,17 @@
 """How long periodic work can take at worst on one CPU with fixed priorities: the response-time analysis.
 
 The bound holds where its assumptions do: each task is released once a period, late by its jitter at most; it takes its
-cost of CPU time at most, and does not wait on its own accord; whatever has a lower priority gives the CPU up at once,
+cost of CPU time at most, and does not wait of its own accord; whatever has a lower priority gives the CPU up at once,
 after `blocking_ns` at most; nothing else runs on the CPU, the kernel and its interrupts included.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-# In looking for a bound: the less time is left, the more. Where these are too few nearly all of it is asked for.
+# Steps of the search for a bound: the less CPU time is left, the more it takes. If these are too few, nearly none is
+# left.
 STEPS_MAX = 300_000
-# More than the sum of some hundred shares is rounded by.
+# Larger than the rounding error of a sum of some hundred shares.
 _ROUNDING = 1e-12
 
 
@@ -18,7 +19,8 @@ _ROUNDING = 1e-12
 class PeriodicTask:
     """Work of `cost_ns` of CPU time, released every `period_ns`, late by `jitter_ns` at most; times in ns, whole.
 
-    A larger priority comes first. Of two with one priority each may come first, as with SCHED_FIFO and SCHED_RR.
+    A larger priority comes first. Of two tasks with the same priority, either may come first, as with SCHED_FIFO and
+    SCHED_RR.
     """
 
     name: str
@@ -32,13 +34,13 @@ class PeriodicTask:
 def response_bound(task: PeriodicTask, others: Iterable[PeriodicTask]) -> int | None:
     """The longest time from when a task was due to its end, in ns, on a CPU that it shares with others.
 
-    None: there is no bound, as it and the tasks that come before it ask for all of the CPU, nearly all, or more.
+    None: there is no bound, because it and the tasks that come before it ask for all of the CPU, nearly all, or more.
 
     Joseph & Pandya 1986 ("Finding response times in a real-time system"): the least w with w = C + sum over the tasks
     that come before of ceil(w / T) C, where all are released at one instant. With jitter and blocking: Audsley et al.
-    1993 ("Applying new scheduling theory to static priority pre-emptive scheduling"). Where it is longer than the
-    period, each job of the busy period is looked at: Lehoczky 1990, Tindell, Burns & Wellings 1994; it is the exact
-    test of Davis, Zabos & Burns 2008. A task of the same priority counts as one that comes before, as it may.
+    1993 ("Applying new scheduling theory to static priority pre-emptive scheduling"). Where w is longer than the
+    period, each job of the busy period is examined: Lehoczky 1990, Tindell, Burns & Wellings 1994. This is the exact
+    test of Davis, Zabos & Burns 2008. A task of the same priority may come before, so it counts as one that does.
     """
     before = [each for each in others if each.priority >= task.priority]
     taken = sum(each.cost_ns / each.period_ns for each in before)
@@ -47,13 +49,13 @@ def response_bound(task: PeriodicTask, others: Iterable[PeriodicTask]) -> int | 
     worst, busy_ns, job, steps = 0, 0, 1, 0
     while steps < STEPS_MAX:
         own_ns = task.blocking_ns + job * task.cost_ns
-        # No less than if the others took their shares of it.
+        # At least as long as if the others took only their shares of it.
         busy_ns = max(busy_ns, own_ns, int(own_ns / (max(1 - taken, 0) + _ROUNDING)))
         while (longer_ns := own_ns + sum(_interference_ns(each, busy_ns) for each in before)) > busy_ns:
             busy_ns = longer_ns
             if (steps := steps + len(before)) > STEPS_MAX:
                 return None
-        # The first job comes as late as it may, the others are due at their periods after it was.
+        # The first job comes as late as it may. The others are due one period apart, counted from when it was due.
         worst = max(worst, busy_ns + task.jitter_ns - (job - 1) * task.period_ns)
         if busy_ns + task.jitter_ns <= job * task.period_ns:
             return worst
@@ -62,5 +64,5 @@ def response_bound(task: PeriodicTask, others: Iterable[PeriodicTask]) -> int | 
 
 
 def _interference_ns(task: PeriodicTask, busy_ns: int) -> int:
-    """The CPU time that a task takes in a busy time that begins with its release: of each job that begins in it."""
+    """The CPU time that a task takes in a busy time that begins with its release: of all jobs released in it."""
     return -(-(busy_ns + task.jitter_ns) // task.period_ns) * task.cost_ns

@@ -1,4 +1,4 @@
-"""How the axis of some values is divided, so that most of them can be told apart, and all of them are on it."""
+"""How an axis is divided so that it shows all values and most of them can be told apart."""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,15 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 from rtrun.analysis.histogram import Histogram
 
 Floats = NDArray[np.float64]
-# The central 98 % of the values are their bulk. An even axis is one on which it takes this share at least.
+# The central 98 % of the values are their bulk. The axis is even where the bulk takes at least this share of it.
 _BULK = (0.01, 0.99)
 _EVEN_SHARE = 0.2
-# Below this share of a logarithmic axis, what is in the bulk cannot be told apart.
+# On less than this share of a logarithmic axis, the values of the bulk cannot be told apart.
 _SEEN_SHARE = 0.1
 
 
 class Division(Enum):
-    """LINEAR; LOG, for values above zero; STRETCHED: even around the middle, towards both ends logarithmic."""
+    """LINEAR; LOG, for values above zero; STRETCHED: even around the middle, logarithmic towards both ends."""
 
     LINEAR = "linear"
     LOG = "log"
@@ -67,7 +67,7 @@ class Scale:
 
 
 def scale_of(histogram: Histogram, limit_ns: float | None = None) -> Scale:
-    """The axis, in ns, for these values, one at least, and for a limit where that leaves their bulk to be seen."""
+    """The axis, in ns, for these values (at least one), and for a limit if their bulk can then still be seen."""
     below = np.cumsum(histogram.counts)
     ranks = np.ceil(np.array([_BULK[0], 0.5, _BULK[1]]) * below[-1]).astype(np.int64)
     first, middle, last = histogram.values_ns[np.searchsorted(below, np.clip(ranks, 1, below[-1]))].tolist()

@@ -21,7 +21,7 @@ class Standing:
     boards: frozenset[str] = frozenset()
     """The names of the boards that it was measured on."""
     observed_by: tuple[str, ...] = ()
-    """Of a stream of what is observed: the runs of the campaign that observed it."""
+    """For an observed stream: the runs of the campaign that observed it."""
     stream: str = ""
     """Which stream that is."""
 
@@ -39,5 +39,5 @@ class Standing:
 
     @property
     def is_final(self) -> bool:
-        """Whether measuring on would not change the answer, or need not."""
+        """Whether further measuring would not change the answer, or is not needed."""
         return self.answer is not Answer.NEEDS_MORE or (self.verdict is not None and bool(self.verdict.lost))

@@ -16,9 +16,9 @@ from rtrun.plan.question import NONE_TOLERATED, Tolerance
 # With this many misses normal theory on blocks holds for their bursts; fewer are tested exactly.
 ENOUGH_MISSES = 20
 _LEVEL_EVENTS = 200
-# So many places of misses are kept of a run: enough for every test of where they lie.
+# How many places of misses are kept per run: enough for every test of where they lie.
 _MOST_PLACES = 4096
-# So many of the highest values are looked at first for what decides windows.
+# So many of the highest values are tried first to find what decides windows.
 _HIGHEST = 4096
 _NEVER = np.iinfo(np.int64).max
 _NONE = np.empty(0, np.int64)
@@ -28,14 +28,14 @@ _NONE = np.empty(0, np.int64)
 class Trials:
     """What one output of one run says about one deadline: how many came late or never, and where.
 
-    ``late`` measurements exceeded the deadline, ``absent`` were not fired or went missing: they met no deadline
-    either. ``misses`` holds both by position; None where a log kept no order. ``missed_at`` are their loop
-    positions, int64 (k,), of many only every ``stride``-th. ``level`` holds where the run passed a lower level
-    often enough (about 200 times) to show whether its high values come in bursts; ``high_at`` and ``high_ns`` are
-    the places and the heights of these, int64 (h,); what kept no order has no places. ``worst_ns`` is the highest
-    value seen. ``unclear`` of the late ones lie in the bin of a histogram that holds the deadline, or within a step
-    of the clock below it, and may have met it. ``episodes`` are those of misses near one another; None where no
-    order was kept. ``run``, ``boot``, ``board`` and ``start_time`` say where it belongs; "" where that is not
+    ``late`` measurements exceeded the deadline; ``absent`` ones did not fire or went missing, so they did not meet it
+    either. ``misses`` holds both by position; None where a log kept no order. ``missed_at`` are their loop positions,
+    int64 (k,); of many, only every ``stride``-th is kept. ``level`` says where the run exceeded a lower level, one that
+    it exceeds often enough (about 200 times) to show whether high values come in bursts. ``high_at`` and ``high_ns``
+    are the places and the heights of these values, int64 (h,); without an order there are no places. ``worst_ns`` is
+    the highest value seen. ``unclear`` of the late ones may have met the deadline: they lie in the same bin of a
+    histogram, or within a step of the clock below it. ``episodes`` join misses that are near one another; None where no
+    order was kept. ``run``, ``boot``, ``board`` and ``start_time`` say where the trials belong; "" where that is not
     known.
     """
 
@@ -63,15 +63,14 @@ def high_values(loops: int) -> int:
 
 
 def windowed(values_ns: Int64s, absent: Int64s, deadline_ns: int, tolerance: Tolerance) -> tuple[Int64s, Int64s]:
-    """Of the windows that end at each loop, of as many loops as `tolerance` names: what decides, and `absent`.
+    """The value that decides each window of as many loops as `tolerance` names, and the windows that have none.
 
-    A window holds more misses than are tolerated where its (misses + 1)-th highest value is late: that value, an order
-    statistic (David & Nagaraja 2003), stands for the window, so all that holds of values holds of windows. What is
-    absent is above every value. Values are int64 (n,), `absent` (a,) their loop positions as in `count_misses`; of both
-    together there are among - 1 fewer windows than loops, for windows that a run does not hold are not judged.
+    A window ends at each loop. It holds more misses than are tolerated where its (misses + 1)-th highest value is late.
+    That value, an order statistic (David & Nagaraja 2003), stands for the window, so all that holds for values holds
+    for windows. An absent value is above all others. Values are int64 (n,), `absent` (a,) loop positions as in
+    `count_misses`. There are among - 1 fewer windows than loops, because incomplete windows are not judged.
 
-    Of the windows that are not among the highest ones, which are all that is asked of, only this is told: whether the
-    deadline is met.
+    Only the highest windows get their exact value. The values of the others tell only whether the deadline is met.
     """
     loops, size = values_ns.size + absent.size, tolerance.among
     if loops < size:
@@ -82,7 +81,7 @@ def windowed(values_ns: Int64s, absent: Int64s, deadline_ns: int, tolerance: Tol
     every[came] = values_ns
     late = np.concatenate(([0], np.cumsum(are_late(every, deadline_ns))))
     is_late = late[size:] - late[:-size] > tolerance.misses
-    # As many of the highest values as it takes for enough windows that they decide.
+    # Try more of the highest values until they decide enough windows.
     for many in (_HIGHEST * 8**power for power in itertools.count()):
         floor = int(np.partition(every, -many)[-many]) if many < loops else -_NEVER
         decides = _decided_by(every, floor, tolerance)
@@ -95,10 +94,10 @@ def windowed(values_ns: Int64s, absent: Int64s, deadline_ns: int, tolerance: Tol
 
 
 def _decided_by(every: Int64s, floor: int, tolerance: Tolerance) -> Int64s:
-    """The (misses + 1)-th highest value of each window, for those in which it is at least `floor`; less for others."""
+    """The (misses + 1)-th highest value of each window, where it is at least `floor`; less for the others."""
     size = tolerance.among
     entering = np.flatnonzero(every >= floor)
-    # A value is in the windows from its own place on, until that of a window further.
+    # A value is in all windows from its own place on, for the length of a window.
     places = np.concatenate((entering, entering + size))
     order = np.argsort(places, kind="stable")
     heights = np.tile(every[entering], 2)[order].tolist()
@@ -124,11 +123,12 @@ def count_misses(
 ) -> Trials:
     """Count what missed the deadline in one run's int64 samples, shape (n,) in loop order.
 
-    A value above the deadline is late, one that equals it is not. What steps by `step_ns` may have been as much more,
-    less 1 ns, than it reads: it is late where it may be, and unclear where it may not.
-    `absent` gives the ascending loop positions of what was not fired or went missing; the samples fill the others.
+    A value above the deadline is late, one that equals it is not. A clock that steps by `step_ns` may read up to
+    `step_ns` - 1 ns too little: a value that may be late counts as late, and as unclear where it may also be in time.
+    `absent` gives the ascending loop positions of values that did not fire or went missing; the samples fill the
+    others.
     With a `tolerance` the trials are windows (`windowed`); the highest value seen is still that of a loop.
-    `period_ns` says how far apart loops are, None: nobody knows.
+    `period_ns` says how far apart loops are; None if not known.
     """
     if absent is None:
         absent = np.empty(0, np.int64)
@@ -179,7 +179,7 @@ def loop_positions(of_samples: Int64s, absent: Int64s) -> Int64s:
 def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: int = 0) -> Trials:
     """Count what missed the deadline in a histogram: all in the bin that holds the deadline, unless it ends the bin.
 
-    Its high values have heights and no places. Raises ValueError when the deadline lies in the overflow.
+    Its high values have heights but no places. Raises ValueError when the deadline lies in the overflow.
     """
     top = int(histogram.values_ns[-1]) if histogram.values_ns.size and not histogram.overflow else histogram.max_ns
     return Trials(
@@ -197,7 +197,7 @@ def count_misses_in_histogram(histogram: Histogram, deadline_ns: int, absent: in
 
 
 def _highest_of(histogram: Histogram, number: int) -> Int64s:
-    """The highest values of a histogram, int64 of shape (at most `number`,): of each the lower edge of its bin."""
+    """The highest values of a histogram, int64 of shape (at most `number`,): each as the lower edge of its bin."""
     beyond = min(number, histogram.overflow)
     edges, counts = histogram.values_ns[::-1], histogram.counts[::-1]
     inside = np.minimum(np.cumsum(counts), number - beyond)

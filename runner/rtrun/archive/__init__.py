@@ -3,4 +3,4 @@
 from typing import Literal
 
 By = Literal["day", "month", "kernel", "board", "commit", "image", "run"]
-"""What tells the points of a course apart, beside board and kernel, which are never pooled."""
+"""What distinguishes the points of a course, besides board and kernel, which are never pooled."""

@@ -1,7 +1,7 @@
-"""Runs of a results folder put into an archive: a file for each run in each table, the row of the run last.
+"""Put the runs of a results folder into an archive: a file per run in each table, the row of the run last.
 
-So a run whose row is there is there as a whole, and what an interrupted call left is completed by the next one. Two
-writers that add the same run write the same bytes under the same name.
+So a run that has its row is complete, and the next call completes what an interrupted call left. Two writers that add
+the same run write the same bytes under the same name.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ from rtrun.results.series import Series
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Addition:
-    """What became of a results folder: names of the runs added now and before, and why others were refused.
+    """What became of a results folder: the runs added now and before, and why others were refused.
 
     `notes` name the outputs of added runs that have no measurements in the archive.
     """
@@ -42,7 +42,7 @@ class Addition:
 
 
 def find_runs(results: Path) -> Source:
-    """The runs of a folder. Raises UsageError when there is none."""
+    """The runs of a folder. Raises UsageError when there are none."""
     source = find_source(results)
     if not source.folders:
         raise UsageError(f"{results}: not a results folder or a run directory")
@@ -54,8 +54,8 @@ def add_results(
 ) -> Addition:
     """Add every closed run whose files are those that it was closed with.
 
-    A run that is not ok is added without measurements. `on_added` is told how many runs of how many are in the archive.
-    Raises InfrastructureError when the archive cannot be read or written; it says how far it came.
+    A run that is not ok is added without measurements. `on_added` receives how many runs are in the archive, and of how
+    many. Raises InfrastructureError, stating how far it came, when the archive cannot be read or written.
     """
     refused = [f"{name}: incomplete, it has no run.json" for name in source.incomplete]
     added: list[str] = []
@@ -63,7 +63,7 @@ def add_results(
     notes: list[str] = []
     tables = [table for table in SCHEMAS if samples or table != "samples"]
     there = {table: _files_of_runs(store, table) for table in tables}
-    # Attempts that were measured again tell how often the rate that was asked for was not kept.
+    # Attempts that were measured again show how often the requested rate was missed.
     folders = [*source.folders, *filter(_missed_its_rate, source.old)]
     copies = _copies(folders)
     refused += copies.values()
@@ -93,7 +93,7 @@ def _missed_its_rate(folder: Path) -> bool:
 
 
 def _copies(folders: Sequence[Path]) -> dict[Path, str]:
-    """The runs that are copies of one another; what has no record that can be read is refused when it is added."""
+    """The runs that are copies of one another; a run without a readable record is refused when it is added."""
     records: dict[Path, RunRecord] = {}
     for folder in folders:
         with contextlib.suppress(UsageError):
@@ -104,12 +104,12 @@ def _copies(folders: Sequence[Path]) -> dict[Path, str]:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _AddedRun:
     is_new: bool
-    """False: all of it was there already."""
+    """False: the archive had all of it already."""
     notes: tuple[str, ...]
 
 
 def _files_of_runs(store: Store, table: str) -> dict[str, str | None]:
-    """The file of each run that a table has; None for one in a pack, which is whole."""
+    """The file of each run in a table; None for a run in a pack, which is complete."""
     files = read_files(store, table)
     return {**files.alone, **dict.fromkeys(files.newest())}
 
@@ -123,7 +123,7 @@ def _add_run(
         path = there[table].get(key, "")
         return path is None or bool(path and is_whole(store, path))
 
-    # The row of the run is written last. Counting allocations is in the times of a run.
+    # The row of the run is written last. Counting allocations affects the times of a run.
     tables = there if record.status is RunStatus.OK and not record.parameters.get(ALLOCATIONS) else ["runs"]
     missing = [table for table in tables if not is_there(table)]
     judged: list[Series] = []

@@ -1,4 +1,4 @@
-"""A build against its history: the cases of `rtrun gate --against`."""
+"""A build compared with its history: the cases of `rtrun gate --against`."""
 
 import json
 import tempfile
@@ -22,7 +22,7 @@ from rtrun.kinds.kind import Measure
 from rtrun.plan.suites import ALLOCATIONS
 from rtrun.targets.inspection.platform import Platform
 
-# A shift that is of no concern, where no margin is given: of the reference, but at least so long, as in compare.
+# A shift too small to matter, where no margin is given: a share of the reference, with a minimum, as in compare.
 SHARE_OF_MARGIN, LEAST_MARGIN_NS = 0.05, 1000.0
 
 
@@ -36,10 +36,10 @@ def gate_against(
     false_alarms: float,
     platform: Platform,
 ) -> Gate:
-    """Fail what is worse than its history in the archive by more than the margin, or cannot be compared with it.
+    """Fail the cases that are worse than their history by more than the margin, or cannot be compared with it.
 
-    One boot that is worse makes a build PERHAPS WORSE, which does not pass: a second one decides. A year of daily gates
-    of builds that are as good as their history has any that is WORSE with the chance `false_alarms` at most. The runs
+    If only one boot is worse, the build is PERHAPS WORSE, which does not pass: a second boot decides. `false_alarms`
+    bounds the chance that a year of daily gates, of builds that are as good as their history, has any WORSE. The runs
     of `results` themselves are not part of the history.
     """
     with tempfile.TemporaryDirectory() as folder:
@@ -67,7 +67,7 @@ def gate_against(
 
 
 def _without_course(runs: Sequence[RunRow], builds: Sequence[Course], of: Measure | None) -> list[tuple[str, str]]:
-    """The runs that are in no course, and why; those that count allocations are not to be in one."""
+    """The runs that are in no course, and why; runs that count allocations are left out, as no course includes them."""
     known = {key for build in builds for run in build.runs for key in run.point.run_keys}
     reasons = []
     for row in sorted(runs, key=lambda row: row.run):
@@ -81,7 +81,7 @@ def _without_course(runs: Sequence[RunRow], builds: Sequence[Course], of: Measur
 
 
 def _without(history: Course | None, build: Course) -> Course | None:
-    """The history without the runs of the build and those before its level was accepted; None where none is left."""
+    """The history without the runs of the build and those before its level was accepted; None if none are left."""
     if history is None:
         return None
     own = {run.point.run_keys for run in build.runs}

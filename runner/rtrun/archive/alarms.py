@@ -1,4 +1,4 @@
-"""What somebody is to hear of: figures that got worse, a build that is, and boards that failed, are away or new."""
+"""What people are notified of: worse figures, a worse build, and boards that failed, are offline or new."""
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,17 +19,17 @@ from rtrun.targets.labgrid.health import in_words, since
 Kind = Literal["worse", "worse build", "failed", "offline", "quarantine", "new"]
 BOARDS_PAGE = "boards.html"
 REASON_MAX = 300
-"""Characters of a run's reason that are told."""
+"""Length limit, in characters, of the reason of a run in a message."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Alarm:
-    """Something that got worse, of one line each: where, by how much, since when, and what may have done it.
+    """Something that got worse, each field one line: where, by how much, since when, and the suspected cause.
 
-    `key` tells it from others, of which it is told once. Of a course it is told again when a level `begins` after all
-    that was known (`last_run`) when it was told, or is above the one of then: `levels` has for each figure its new
-    level, in ns or as a share, and what that is above for sure. `known` is what somebody said of it, so that nobody is
-    called.
+    `key` identifies the alarm, so that it is sent once. The alarm of a course is sent again when a level `begins` after
+    the last run (`last_run`) of the last message, or is above the level of that message: `levels` has the new level of
+    each figure, in ns or as a share, and the lower bound of that level. `known` is the reason of a note that calls the
+    problem known; nobody is notified then.
     """
 
     kind: Kind
@@ -46,7 +46,7 @@ class Alarm:
 
 
 def worse_courses(trends: Iterable[Trend], *, confidence: float) -> list[Alarm]:
-    """An alarm for each course of which a figure's last change is for the worse, by more than is of no concern."""
+    """An alarm for each course where the last change of a figure is for the worse, by more than a negligible amount."""
     last: dict[tuple[str, ...], dict[str, Trend]] = {}
     for trend in trends:
         last.setdefault(trend.course.identity, {})[trend.figure] = trend
@@ -63,7 +63,7 @@ def _is_of_concern(trend: Trend) -> bool:
 
 
 def of_no_concern(figure: str, level: float) -> float:
-    """By how much a figure may be above this level without anybody having to hear of it."""
+    """By how much a figure may exceed this level without an alarm."""
     return 0.0 if figure == "P(miss)" else max(SHARE_OF_MARGIN * level, LEAST_MARGIN_NS)
 
 
@@ -87,7 +87,7 @@ def _of_course(course: Course, worse: Sequence[Trend], confidence: float) -> Ala
 
 
 def worse_builds(gate: Gate, build: str, notes: Notes, pages: Sequence[Course]) -> list[Alarm]:
-    """An alarm for each case of `gate --against` that is WORSE; `build` tells its results from others."""
+    """An alarm for each case of `gate --against` that is WORSE; `build` distinguishes its results from others."""
     page_of = {course.label: course.page for course in pages}
     alarms = []
     for case in gate.cases:
@@ -115,7 +115,7 @@ def board_alarms(boards: Iterable[BoardHealth], notes: Notes) -> list[Alarm]:
     for board in boards:
         alarms += [_failed(board, scenario, notes) for scenario in board.failed]
         if board.offline:
-            # Once measured in between, it is away anew.
+            # If it was measured in between, it is offline anew.
             since_run = str(board.last_seen)
             known = next((note.words for note in notes.known(board.board, None)), None)
             alarms.append(_of_board("offline", board, board.offline, "not known", key=since_run, known=known))
@@ -166,7 +166,7 @@ def last_seen(board: BoardHealth) -> str:
 
 
 def _known(place: str, day: date | None, notes: Notes) -> str | None:
-    """The state of a quarantine since it began; one that begins later is another one."""
+    """The note that calls a quarantine known, since the quarantine began; a later quarantine is another one."""
     return next((note.words for note in notes.known(place, None) if day is None or day <= note.at.date()), None)
 
 

@@ -1,4 +1,4 @@
-"""The bins of runs in an archive's histograms, read, and figures of several runs' bins together."""
+"""Read the bins of runs from an archive's histograms, and compute figures from the bins of several runs together."""
 
 from bisect import bisect_right
 from collections import OrderedDict
@@ -21,19 +21,19 @@ Bins = tuple[Int64s, Int64s, Int64s]
 """value_ns, bin_ns and count of the rows of a histogram, shape (n,); NONE where the table has null."""
 NONE = -(2**63)
 _Rows = tuple[list[str | None], Int64s, Bins]
-"""Rows as they are read: the names of series, which of them each row has, and the numbers."""
+"""Rows as they are read: the series names, the name index of each row, and the numbers."""
 _PER_100_000 = [round(1000 * p) for p in PERCENTILES]
-_GRID_MAX = 4  # places of a grid for each bin on it
-_GRID_FROM = 4  # histograms: fewer are sorted faster, as each is in order
-_COUNT_MAX = 2**53  # of all bins: above, a double no longer counts one by one
+_GRID_MAX = 4  # grid places per bin
+_GRID_FROM = 4  # histograms: with fewer, sorting is faster, as each is already sorted
+_COUNT_MAX = 2**53  # of all bins: above it a double cannot count in steps of one
 _KEPT = 64  # row groups of 4 MB each
 _NUMBERS = ("value_ns", "bin_ns", "count")
 
 
 class BinReader:
-    """Reads the bins of one run after the other; of a pack it keeps the row groups that were read last.
+    """Reads the bins of one run after another; of a pack it keeps the row groups that were read last.
 
-    Runs of a pack lie in the order in which they are asked for, so each of its row groups is read once.
+    The runs of a pack are stored in the order in which they are read, so each row group is read once.
     """
 
     def __init__(self, store: Store) -> None:
@@ -43,7 +43,7 @@ class BinReader:
         self._lock = Lock()
 
     def read(self, place: RowRange) -> dict[str, Bins]:
-        """The bins of a run by series. Raises UsageError for a file that is no histogram, InfrastructureError."""
+        """The bins of a run by series. Raises UsageError for a file that is not a histogram, InfrastructureError."""
         if not place.file.is_pack:
             return _by_series(_read_rows(self._store, place.file, None))
         parts: dict[str, list[Bins]] = {}
@@ -62,14 +62,14 @@ class BinReader:
         return {series: joined(each) for series, each in parts.items()}
 
     def _starts(self, file: TableFile) -> Sequence[int]:
-        """The first row of each row group of a pack, and the number of all rows."""
+        """The first row of each row group of a pack, and the total number of rows."""
         if file.path not in self._first_rows:
             groups = map(file.footer.row_group, range(file.footer.num_row_groups))
             self._first_rows[file.path] = [*accumulate((group.num_rows for group in groups), initial=0)]
         return self._first_rows[file.path]
 
     def _group(self, file: TableFile, group: int) -> _Rows:
-        """A row group of a pack, which the first thread that asks for it reads."""
+        """A row group of a pack; the first thread that asks for it reads it."""
         key = (file.path, group)
         with self._lock:
             future = self._groups.get(key)
@@ -129,7 +129,7 @@ def _check_bins(value: Int64s, width: Int64s, count: Int64s) -> None:
 
 
 def joined(bins: Sequence[Bins]) -> Bins:
-    """The rows of several histograms one after the other."""
+    """The rows of several histograms, one after another."""
     if len(bins) == 1:
         return bins[0]
     value, width, count = (np.concatenate(columns) for columns in zip(*bins, strict=True))
@@ -137,7 +137,7 @@ def joined(bins: Sequence[Bins]) -> Bins:
 
 
 def merged(bins: Sequence[Bins]) -> Bins:
-    """The same counts with each bin once."""
+    """The same counts, with equal bins merged."""
     value, width, count = joined(bins)
     order = np.lexsort((width, value))
     value, width, count = value[order], width[order], count[order]
@@ -146,11 +146,11 @@ def merged(bins: Sequence[Bins]) -> Bins:
 
 
 def figures_of_bins(bins: Sequence[Bins], deadline_ns: int) -> Mapping[str, Any]:
-    """n, misses, unclear, percentiles_ns and max_ns of a Point, of the bins of its runs."""
+    """n, misses, unclear, percentiles_ns and max_ns of a Point, from the bins of its runs."""
     value, width, count = joined(bins)
     late = are_late(value, deadline_ns, width)
     close = late & ~are_late(value, deadline_ns)
-    limit_ns: int | None = None  # from here on values are known by number only
+    limit_ns: int | None = None  # at and above this, values are only counted
     added = value, width, count
     if value.size and NONE in (value.min(), width.min()):
         came, known = value != NONE, width != NONE
@@ -162,7 +162,7 @@ def figures_of_bins(bins: Sequence[Bins], deadline_ns: int) -> Mapping[str, Any]
     percentiles_ns: dict[float, int | None] = dict.fromkeys(PERCENTILES)
     highest_ns: int | None = None
     if values.size:
-        # The rank in whole numbers, so that no rounding moves it.
+        # The rank in integers, so that rounding does not shift it.
         ranks = [-(-int(reached[-1]) * each // 100_000) for each in _PER_100_000]
         at_ranks = values[np.searchsorted(reached, ranks)].tolist()
         *at_percentiles, highest_ns = (
@@ -179,9 +179,9 @@ def figures_of_bins(bins: Sequence[Bins], deadline_ns: int) -> Mapping[str, Any]
 
 
 def _added_up(value: Int64s, width: Int64s, count: Int64s, *, of: int) -> tuple[Int64s, Int64s]:
-    """Values ascending, of so many histograms, and how many measurements are at each or below, shape (k,)."""
+    """Values of `of` histograms, ascending, and how many measurements are at or below each, shape (k,)."""
     if of >= _GRID_FROM and value.size and 0 < (step := width.min()) == width.max():
-        # Bins of one clock lie on a grid: to add up those of many runs there takes a fraction of the time of sorting.
+        # Bins of one clock lie on a grid: adding them up there is much faster than sorting.
         lowest = value.min()
         at, beside = np.divmod(value - lowest, step)
         if not beside.any() and at.max() < _GRID_MAX * value.size:

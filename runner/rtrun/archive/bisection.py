@@ -10,9 +10,9 @@ from rtrun.archive.courses import Course, Figure
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Suspects:
-    """A figure that got worse from `good` to `bad`, two measured versions; those `between` them are not measured.
+    """A figure that got worse from version `good` to version `bad`; the versions `between` are not measured.
 
-    `change` is the change of the figure over the boots in the order of the versions.
+    `change` is the change of the figure over the boots, sorted by version.
     """
 
     course: Course
@@ -24,15 +24,15 @@ class Suspects:
 
     @property
     def proposal(self) -> str | None:
-        """The version in the middle of those between; None where `bad` is the first one that is worse."""
+        """The version in the middle of `between`; None where `bad` is the first worse version."""
         return self.between[len(self.between) // 2] if self.between else None
 
 
 def find_suspects(course: Course, fact: str, order: Sequence[str], *, confidence: float) -> list[Suspects]:
-    """Where each figure got worse over the versions of a fact, whose `order` is oldest first.
+    """Where each figure got worse over the versions of a fact; `order` lists the versions, oldest first.
 
-    The boots are put into the order of their versions, so that it does not matter when a version was measured. Boots of
-    a version that is not in `order`, or of several versions, are left out.
+    The boots are sorted by version, so it does not matter when a version was measured. Boots with a version that is not
+    in `order`, or with several versions, are left out.
     """
     places = {version: place for place, version in enumerate(order)}
     runs = sorted(
@@ -40,7 +40,7 @@ def find_suspects(course: Course, fact: str, order: Sequence[str], *, confidence
     )
     if not runs:
         return []
-    # One boot may have measured several versions: each is a unit of its own.
+    # One boot may have measured several versions; each counts separately.
     ordered = replace(course, runs=tuple(replace(run, boot=f"{run.boot} {run.facts[fact]}") for run in runs))
     suspects = []
     for figure in get_args(Figure):

@@ -1,4 +1,4 @@
-"""Boards, their kernels and middlewares on one page: how each stands, and how its slowest scenario went."""
+"""Boards, their kernels and middlewares on one page: the state of each, and the course of its slowest scenario."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,20 +14,21 @@ from rtrun.archive.states import SAID, CourseState
 from rtrun.report.terminal import BANNERS
 from rtrun.targets.inspection.platform import Platform
 
-# A kernel that none of so many boots of a course ran last is one of the past.
+# A kernel is a past one if none of this many last boots of a course ran it.
 _LATEST_BOOTS = 3
 _PERCENTS = (99.9, 99.0, 50.0)
 _POINTS_MAX = 60  # of a sparkline
 _WIDTH, _HEIGHT = 200, 40  # of a sparkline, in units of its paths
-_LEAST_SPAN = 0.25  # of its height, in its highest value: what is steady looks so
+_LEAST_SPAN = 0.25  # of its height, relative to its highest value: steady values look steady
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BoardCell:
     """The scenarios of a board on a kernel through a middleware.
 
-    `state` is the gravest of theirs, "" where the kernel is of the past. `page` and the SVG paths are those of the one
-    that leads: of the gravest state, and among these the slowest; `path` of its runs on the kernel, `whole` of all.
+    `state` is the gravest state among them, "" where the kernel is a past one. `page` and the SVG paths belong to the
+    leading scenario: the slowest among those with the gravest state. `path` shows its runs on the kernel, `whole` all
+    its runs.
     """
 
     state: str
@@ -42,7 +43,7 @@ class BoardCell:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BoardRow:
-    """A board on a kernel: its last run there, its banner where it is no hardware, and its cells by middleware."""
+    """A board on a kernel: its last run there, its banner if it is not hardware, and its cells by middleware."""
 
     board: str
     kernel: str
@@ -53,7 +54,7 @@ class BoardRow:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Part:
-    """What of a course was measured on one kernel."""
+    """The part of a course that was measured on one kernel."""
 
     course: Course
     state: CourseState
@@ -62,7 +63,7 @@ class _Part:
 
 
 def board_rows(courses: Sequence[tuple[Course, CourseState]]) -> list[BoardRow]:
-    """A row for each board, platform and kernel: boards of the gravest states first, of one board the last kernel."""
+    """A row for each board, platform and kernel: the gravest boards first, and for each board its last kernel first."""
     parts: dict[tuple[str, str, str], dict[str, list[_Part]]] = {}
     for course, state in courses:
         by_kernel: dict[str, list[ArchivedRun]] = {}
@@ -96,19 +97,19 @@ def board_rows(courses: Sequence[tuple[Course, CourseState]]) -> list[BoardRow]:
 
 
 def columns_of(rows: Sequence[BoardRow]) -> list[str]:
-    """The middlewares of all rows, by name."""
+    """The middlewares of all rows, sorted by name."""
     return sorted({name for row in rows for name in row.cells})
 
 
 def _column(course: Course) -> str:
-    """The middleware; of what has none, as another program's histogram, what measured."""
+    """The middleware; without one, as for another program's histogram, the program that measured."""
     parameters = parse_json(course.parameters, "parameters of an archived run")
     named = parameters.get("middleware") if isinstance(parameters, dict) else None
     return str(named or course.runs[0].point.suite.removesuffix("_tests"))
 
 
 def _gravity(part: _Part) -> int:
-    """0 is the gravest state; those of the past come after all."""
+    """0 is the gravest state; past kernels come last."""
     return len(SAID) if part.is_past else list(SAID).index(part.state.word)
 
 
@@ -138,14 +139,14 @@ def _cell(parts: Sequence[_Part]) -> BoardCell:
 
 
 def _percent(part: _Part) -> float:
-    """The percentile to show: the highest of those that the state is of, or that are known."""
+    """The percentile to show: the highest that the state is about, or else that is known."""
     named = [p for p in _PERCENTS if f"p{p:g}" in part.state.figures and not part.is_past]
     known = [p for p in _PERCENTS if part.runs[-1].point.percentiles_ns[p] is not None]
     return next(iter([*named, *known]), _PERCENTS[0])
 
 
 def _known(runs: Sequence[ArchivedRun], percent: float) -> list[tuple[float, int]]:
-    """Start, in seconds, and percentile, in ns, of the runs that know it."""
+    """Start, in seconds, and percentile, in ns, of the runs where it is known."""
     values = [(_start(run).timestamp(), run.point.percentiles_ns[percent]) for run in runs]
     return [(moment, value) for moment, value in values if value is not None]
 
@@ -161,7 +162,7 @@ def _start(run: ArchivedRun) -> datetime:
 
 
 def _path(values: Sequence[tuple[float, int]], whole: Sequence[tuple[float, int]]) -> str:
-    """Values over time on the scale of the whole; of many the mean of each of some stretches. Empty: fewer than two."""
+    """Values over time on the scale of `whole`; many values are averaged over stretches. Empty for fewer than two."""
     if len(values) < 2:
         return ""
     moments, all_values = zip(*whole, strict=True)

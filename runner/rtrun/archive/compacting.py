@@ -1,9 +1,9 @@
-"""Files of single runs made into packs of many: `rtrun archive compact`.
+"""Combine the files of single runs into packs of many: `rtrun archive compact`.
 
-A pack is a new file, so nobody who reads is disturbed, and a run that is added meanwhile keeps its own file until the
-next call. A file whose runs are all in newer packs is removed when these are older than a grace, in which whoever has
-listed the files before comes to his end. Two calls at once make packs with the same runs, of which the older one is
-superseded; no file is removed but for newer ones that are there.
+A pack is a new file, so readers are not disturbed, and a run that is added meanwhile keeps its own file until the next
+call. A file whose runs are all in newer packs is removed once these packs are older than a grace period, so that
+readers that have listed the old files can finish. Two concurrent calls make packs with the same runs, and the newer
+pack supersedes the older. A file is removed only if its runs have expired or are in newer files.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ from rtrun.archive.tables import SCHEMAS, Table, as_parquet, file_of
 from rtrun.kinds.limits import BINS_MAX
 
 GRACE = timedelta(days=1)
-# Rows of a pack. One with fewer than half of them is packed again with what came since.
+# Limits of the rows in a pack. A pack with fewer than half of them is packed again with newer runs.
 _ROWS = {"runs": PACKED_MAX, "histograms": BINS_MAX, "samples": BINS_MAX}
 
 
@@ -31,7 +31,8 @@ _ROWS = {"runs": PACKED_MAX, "histograms": BINS_MAX, "samples": BINS_MAX}
 class Compaction:
     """What became of the files of an archive.
 
-    `packed` files were made into `packs`, `removed` ones are gone, `waiting` ones are superseded and within the grace.
+    `packed` files were combined into `packs`, `removed` files are gone, `waiting` files are superseded and within the
+    grace period.
     """
 
     packed: int = 0
@@ -49,18 +50,18 @@ class Compaction:
 
 
 def compact(store: Store, *, grace: timedelta, now: datetime) -> Compaction:
-    """Pack the files of an archive and remove those whose grace is over; again, it does nothing more.
+    """Pack the files of an archive, and remove those whose grace period is over; a second call changes nothing.
 
-    `now` is of UTC. Raises UsageError for a file that is damaged, InfrastructureError; what is done by then stays, and
-    the next call does the rest.
+    `now` is in UTC. Raises UsageError for a damaged file, InfrastructureError; finished work stays, and the next call
+    does the rest.
     """
-    # Runs of a course lie one after the other, as they are asked for.
+    # The runs of a course are stored in sequence, as they are read.
     rows = sorted(read_runs(store), key=_along_courses)
     order = {row.run_key: place for place, row in enumerate(rows)}
     notes = read_notes(store)
     done = Compaction()
     for table in SCHEMAS:
-        # Nobody has read since the grace began what is no longer kept since then.
+        # Runs that were already expired when the grace period began have no readers any more.
         since = notes.kept_since(table, now.replace(tzinfo=None), grace)
         gone = {row.run_key for row in rows if not is_kept(row, since)}
         done += _pack_table(store, table, order, gone, now)
@@ -69,19 +70,19 @@ def compact(store: Store, *, grace: timedelta, now: datetime) -> Compaction:
 
 
 def _along_courses(row: RunRow) -> tuple[object, ...]:
-    """The order in which a history asks for runs."""
+    """The order in which a history reads runs."""
     start = row.start_utc or datetime.max
     return row.scenario, row.parameters, row.platform, row.machine, start, row.run_key
 
 
 def _pack_table(store: Store, table: str, order: Mapping[str, int], gone: Container[str], now: datetime) -> Compaction:
     most = _ROWS[table]
-    members: dict[str, list[tuple[str, RowRange]]] = {}  # the runs that count of each file, by its path
+    members: dict[str, list[tuple[str, RowRange]]] = {}  # the runs that count in each file, by its path
     for key, place in sorted(places(store, table).items(), key=lambda item: (order.get(item[0], len(order)), item[0])):
         if key not in gone and place.number:
             members.setdefault(place.file.path, []).append((key, place))
     small = [of_file for of_file in members.values() if _is_small(of_file, most)]
-    small.sort(key=lambda of_file: not of_file[0][1].file.is_pack)  # packs first, else in the order of their runs
+    small.sort(key=lambda of_file: not of_file[0][1].file.is_pack)  # packs first, then by the order of their runs
     packs = packed = 0
     for bundle in _bundles(small, most):
         if len(bundle) > 1 or _is_sparse(bundle[0]):
@@ -92,7 +93,7 @@ def _pack_table(store: Store, table: str, order: Mapping[str, int], gone: Contai
 
 
 _Members = Sequence[tuple[str, RowRange]]
-"""Runs of one file, by their keys."""
+"""The runs of one file, by key."""
 
 
 def _is_small(members: _Members, most: int) -> bool:
@@ -101,13 +102,13 @@ def _is_small(members: _Members, most: int) -> bool:
 
 
 def _is_sparse(members: _Members) -> bool:
-    """Whether half of a pack, or more, is of runs that are no longer kept or are in newer packs."""
+    """Whether at least half the rows of a pack belong to runs that are expired or in newer packs."""
     file = members[0][1].file
     return file.is_pack and 2 * sum(place.number for _, place in members) <= file.footer.num_rows
 
 
 def _bundles(files: Iterable[_Members], most: int) -> Iterator[list[_Members]]:
-    """Files one after the other, so many that they have at most `most` rows together."""
+    """Consecutive files, grouped so that a group has at most `most` rows."""
     bundle: list[_Members] = []
     rows = 0
     for members in files:
@@ -122,7 +123,7 @@ def _bundles(files: Iterable[_Members], most: int) -> Iterator[list[_Members]]:
 
 
 def _write_pack(store: Store, table: str, bundle: Sequence[_Members], order: Mapping[str, int], now: datetime) -> None:
-    """Write the runs of some files into a new one."""
+    """Write the runs of some files into one new file."""
     rows: dict[str, Table] = {}
     with ThreadPoolExecutor(store.at_once) as threads:
         read = threads.map(lambda members: _read(store, table, members[0][1].file), bundle)
@@ -131,16 +132,16 @@ def _write_pack(store: Store, table: str, bundle: Sequence[_Members], order: Map
     keys = sorted(rows, key=lambda key: (order.get(key, len(order)), key))
     digest = hashlib.sha256("\n".join(keys).encode()).hexdigest()
     content = as_parquet(pyarrow.concat_tables([rows[key] for key in keys]).unify_dictionaries().combine_chunks())
-    # The pack is newer than all that are there, whatever the clock of this machine says.
+    # The pack is newer than all others, whatever the clock of this machine says.
     stamps = [_words(path)[0] for path in paths_of(store, table)[0]]
     name = f"{PACK}{next_stamp(stamps, now)}-{as_stamp(now)}-{digest[:16]}"
     write_file(store, file_of(table, name), content)
 
 
 def _read(store: Store, table: str, file: TableFile) -> Table:
-    """All of a file, with the columns of its table; in schema 1 some of them stood in its path alone.
+    """All rows of a file, with the columns of its table; in schema 1 some columns were only in its path.
 
-    Texts are dictionaries, which take a fraction of the memory.
+    Texts are read as dictionaries, which take much less memory.
     """
     text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
     fields = [(field.name, text if field.type == pyarrow.string() else field.type) for field in SCHEMAS[table]]
@@ -154,12 +155,13 @@ def _read(store: Store, table: str, file: TableFile) -> Table:
 
 
 def _remove_superseded(store: Store, table: str, gone: Container[str], before: datetime) -> Compaction:
-    """Remove files of which all runs are no longer kept, or have been in newer packs for longer than the grace.
+    """Remove files whose runs all expired, or have been in newer packs for longer than the grace period.
 
-    Whether these are superseded themselves is no matter: whoever has listed the files since then takes no older ones.
+    It does not matter whether these packs are superseded themselves: readers that listed the files since then use no
+    older files.
     """
     files = read_files(store, table)
-    since: dict[str, datetime] = {}  # by run: when the first of the packs was made that are newer than a file
+    since: dict[str, datetime] = {}  # by run: when the first pack newer than a file was made
     superseded: list[tuple[str, list[datetime]]] = []
     for file in files.packs:
         if all(key in gone or key in since for key in file.rows):
@@ -175,7 +177,7 @@ def _remove_superseded(store: Store, table: str, gone: Container[str], before: d
 
 
 def _words(path: str) -> list[str]:
-    """The parts of a pack's name: its stamp, when it was made where that was written down, its digest."""
+    """The parts of a pack's name: its stamp, when it was made (if recorded), its digest."""
     return name_of(path).removeprefix(PACK).split("-")
 
 

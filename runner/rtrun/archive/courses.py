@@ -1,4 +1,4 @@
-"""The runs of a scenario by one series on one board in the order of time, with their figures and circumstances."""
+"""The runs of one series of a scenario on one board, sorted by time, with their figures and circumstances."""
 
 import hashlib
 from collections import Counter
@@ -18,10 +18,10 @@ from rtrun.archive.runs import Archive, RunRow
 from rtrun.kinds.kind import Measure
 
 Figure = Literal["p50", "p99", "p99.9", "P(miss)"]
-"""What is held against history: figures that a single late value does not make."""
+"""The figures compared with history: those that a single late value does not decide."""
 
 PERCENTS: dict[Figure, float] = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
-# A percentile needs so many values beyond it in a run.
+# A percentile needs this many values beyond it in a run.
 _BEYOND = 20
 _TEXTS = ("kernel_release", "kernel_version", "commit", "image", "middleware_version", "governor", "clock_source")
 _NUMBERS = ("temperature_max_mc", "frequency_max_khz", "load_1min_max")
@@ -29,9 +29,9 @@ _NUMBERS = ("temperature_max_mc", "frequency_max_khz", "load_1min_max")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ArchivedRun:
-    """A run: its figures (`point`), its boot, and what else was known of it.
+    """A run: its figures (`point`), its boot, and what else is known about it.
 
-    `facts` are texts that were there or not (kernel, commit, package versions ...), `readings` numbers that vary.
+    `facts` are texts that can change (kernel, commit, package versions ...), `readings` are numbers that vary.
     """
 
     point: Point
@@ -42,10 +42,10 @@ class ArchivedRun:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Course:
-    """Runs of one scenario on one board and platform, first to last, one at least, whatever the kernel.
+    """Runs of one scenario on one board and platform, first to last, at least one, with any kernel.
 
-    `off_rate` counts others, left out because their publisher missed the rate that was asked for. `accepted` is the
-    last note that accepted its level, `known` are those that say that what is wrong with it is known.
+    `off_rate` counts further runs, left out because their publisher missed the requested rate. `accepted` is the last
+    note that accepted the level; `known` are the notes that call a problem known.
     """
 
     runs: tuple[ArchivedRun, ...]
@@ -55,7 +55,7 @@ class Course:
 
     @property
     def identity(self) -> tuple[str, str, str, str, str]:
-        """What runs of the same course have in common."""
+        """What the runs of a course have in common."""
         return _identity(self.runs[0])
 
     @property
@@ -89,7 +89,7 @@ class Course:
         return f"{hashlib.sha256(repr(self.identity).encode()).hexdigest()[:16]}.html"
 
     def knowing(self, figure: Figure) -> "Course | None":
-        """The course of those runs that know the figure, from enough values; None where none does."""
+        """The course with only the runs that know the figure from enough values; None where none do."""
         runs = tuple(run for run in self.runs if _knows(run.point, figure))
         return replace(self, runs=runs) if runs else None
 
@@ -103,7 +103,7 @@ class Course:
     def values(self, figure: Figure) -> Floats:
         """The figure of each boot, shape (u,): the mean over its runs, in ns; for P(miss) the share of all misses.
 
-        Every run has to know it.
+        Every run must know it.
         """
         if figure == "P(miss)":
             return np.array([misses / n for n, misses in self.misses()])
@@ -117,7 +117,7 @@ class Course:
 
 
 def courses(archive: Archive, *, deadline_ns: int, of: Measure | None = None) -> list[Course]:
-    """Every course of an archive. Runs without a time are in none, as they have no place."""
+    """Every course of an archive. Runs without a time are left out, as they have no place in a course."""
     points = {point.run_keys[0]: point for point in figures(archive, "run", deadline_ns=deadline_ns, of=of)}
     runs = [
         _run(points[row.run_key], row, archive.store.address)
@@ -161,7 +161,7 @@ def _run(point: Point, row: RunRow, origin: str) -> ArchivedRun:
 
 
 def facts_of(runs: Iterable[ArchivedRun], name: str) -> list[str]:
-    """The values of a fact in these runs, each once."""
+    """The different values of a fact in these runs."""
     return list(dict.fromkeys(run.facts[name] for run in runs if name in run.facts))
 
 

@@ -1,8 +1,8 @@
-"""Deliver one message to a web hook or a mail server: a program of its own, which `receivers` starts and ends.
+"""Deliver one message to a web hook or a mail server: a separate program, which `receivers` starts and ends.
 
-A server may do anything with whoever calls it: send headers without end, or a byte a minute; a resolver may never
-answer. Only another process can be ended whatever it is doing. It imports nothing but Python's own library, so it runs
-from its file, with no path but Python's.
+A server may treat its client in any way: send headers without end, or a byte a minute; a resolver may never answer.
+Only a separate process can be ended in any state. It imports nothing but Python's standard library, so it runs from its
+file, with no path but Python's.
 """
 
 import json
@@ -19,14 +19,14 @@ MEMORY_BYTES_MAX = 1 << 29
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):
-    """A POST that is led elsewhere would become a GET."""
+    """Refuses redirects: a redirected POST would become a GET."""
 
     def redirect_request(self, *_: Any) -> None:
         return None
 
 
 def post(url: str, data: Any, timeout_s: float) -> None:
-    """Send data as JSON to an address, and read no more of the answer than its headers."""
+    """Send data as JSON to an address, and read only the headers of the answer."""
     request = urllib.request.Request(
         url, json.dumps(data).encode(), {"Content-Type": "application/json"}, method="POST"
     )
@@ -34,7 +34,7 @@ def post(url: str, data: Any, timeout_s: float) -> None:
 
 
 def send(server: tuple[str, int], sender: str, to: list[str], subject: str, text: str, timeout_s: float) -> None:
-    """Send a mail to a server that needs no login."""
+    """Send a mail through a server that needs no login."""
     mail = EmailMessage()
     mail["Subject"], mail["From"], mail["To"] = subject, sender, ", ".join(to)
     mail["Date"], mail["Message-ID"] = formatdate(), make_msgid(domain="rtrun")
@@ -44,9 +44,9 @@ def send(server: tuple[str, int], sender: str, to: list[str], subject: str, text
 
 
 def main() -> str | None:
-    """Deliver the message of standard input within the seconds that it gives; returns why it was not, in a line."""
+    """Deliver the message on standard input within its time limit; return the error in a line, or None."""
     message = json.load(sys.stdin)
-    # Also where who started this was killed.
+    # Also works if the process that started this one was killed.
     signal.alarm(int(message["timeout_s"]) + 1)
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES_MAX if hard < 0 else min(hard, MEMORY_BYTES_MAX), hard))
@@ -56,7 +56,7 @@ def main() -> str | None:
         else:
             server = (message["host"], message["port"])
             send(server, message["sender"], message["to"], message["subject"], message["text"], message["timeout_s"])
-    except Exception as error:  # a server may make Python's library raise anything
+    except Exception as error:  # a server can make the standard library raise anything
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         return " ".join(ascii(str(reason)[:300])[1:-1].split())
     return None

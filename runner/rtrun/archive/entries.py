@@ -1,4 +1,4 @@
-"""What people said, and who was told: small JSON files that are added to an archive one by one, and never changed."""
+"""Notes, and who was notified: small JSON files that are added to an archive one by one and never changed."""
 
 import hashlib
 from collections.abc import Iterator
@@ -14,12 +14,12 @@ from rtrun.archive.stamps import next_stamp, read_stamp
 from rtrun.archive.store import Store, list_names, read_small_files, write_file
 
 YEARS = (1900, 3000)
-"""From the first to before the second lie all times of an archive."""
+"""All times of an archive lie from the first year on and before the second."""
 Entry = TypeVar("Entry")
 
 
 def _in_utc(moment: datetime) -> datetime:
-    if not YEARS[0] < moment.year < YEARS[1] - 1:  # a zone moves a time by less than a day
+    if not YEARS[0] < moment.year < YEARS[1] - 1:  # a time zone shifts a time by less than a day
         raise ValueError(f"{moment}, expected a time between {YEARS[0]} and {YEARS[1]}")
     return moment.astimezone(UTC).replace(tzinfo=None) if moment.tzinfo else moment
 
@@ -31,7 +31,7 @@ Text = Annotated[str, Field(min_length=1, max_length=1000)]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EntryKind(Generic[Entry]):
-    """Entries of one kind: their folder, what reads one, how many there may be, and how large each may be."""
+    """Entries of one kind: their folder, their reader, the limit of their number, and the size limit of each."""
 
     folder: str
     reader: TypeAdapter[Entry]
@@ -40,15 +40,15 @@ class EntryKind(Generic[Entry]):
 
 
 def stamp_of(name: str) -> str:
-    """The stamp in the name of an entry, which tells its place; empty, so the first, for a file that others named."""
+    """The stamp in the name of an entry, which gives its place; empty, so first, for a file that others named."""
     stamp = name.partition("-")[0]
     return stamp if read_stamp(stamp) else ""
 
 
 def read_entries(store: Store, kind: EntryKind[Entry]) -> Iterator[tuple[str, Entry]]:
-    """The entries of a kind with their names, the first one first.
+    """The entries of a kind with their names, oldest first.
 
-    Raises UsageError for a file that is none, InfrastructureError.
+    Raises UsageError for a file that is not an entry, InfrastructureError.
     """
     found = read_small_files(store, kind.folder, ".json", most=kind.entries_max, max_bytes=kind.bytes_max)
     named = [(path.rpartition("/")[2].removesuffix(".json"), path, content) for path, content in found]
@@ -62,9 +62,9 @@ def read_entries(store: Store, kind: EntryKind[Entry]) -> Iterator[tuple[str, En
 
 
 def add_entry(store: Store, kind: EntryKind[Entry], entry: Entry, now: datetime) -> str:
-    """Add an entry after all that are there; returns its name. `now` is in UTC.
+    """Add an entry after all existing ones; returns its name. `now` is in UTC.
 
-    Raises UsageError, and writes nothing, where `read_entries` would not read it as it is, InfrastructureError.
+    Raises UsageError, and writes nothing, if `read_entries` could not read it back unchanged; InfrastructureError.
     """
     content = _encoded(store, kind, entry)
     names = [name.removesuffix(".json") for name in list_names(store, kind.folder) if name.endswith(".json")]
@@ -75,7 +75,7 @@ def add_entry(store: Store, kind: EntryKind[Entry], entry: Entry, now: datetime)
 
 
 def check_room(store: Store, kind: EntryKind[Entry], number: int, more: int = 1) -> None:
-    """Raise UsageError where `more` entries do not fit beside so many: with them no command would read the archive."""
+    """Raise UsageError where `more` entries do not fit next to `number`: no command could read the archive then."""
     if number + more > kind.entries_max:
         raise UsageError(
             f"{store.address}: {kind.folder}: {number} files are there, and at most {kind.entries_max} are read: "

@@ -9,6 +9,6 @@ PACKAGES = ("fsspec", "pyarrow", "ruptures")
 
 
 def check_extra() -> None:
-    """Raise UsageError with the command that installs them when packages of the extra are missing."""
+    """Raise UsageError with the command that installs the extra when its packages are missing."""
     if missing := [name for name in PACKAGES if find_spec(name) is None]:
         raise UsageError(f"an archive needs {', '.join(missing)}: {install_extra('archive')}")

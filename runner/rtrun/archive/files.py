@@ -1,9 +1,9 @@
-"""The Parquet files of a table: one of each run, and packs of many runs, which `rtrun archive compact` makes.
+"""The Parquet files of a table: one per run, and packs of many runs, which `rtrun archive compact` makes.
 
-The file of a run is named by the run's key, a pack by a stamp that is later than those of all packs before it. In a
-pack the rows of a run follow one another. For a while a run is in several files, with the same rows in each: what
-counts is the newest pack that has it, else its own file. So a reader that has listed the files before or after a pack
-came finds each run once.
+The file of a run is named by the run's key, a pack by a stamp later than those of all packs before it. In a pack the
+rows of a run are contiguous. For a while a run is in several files, with the same rows in each. The newest pack that
+has the run counts, or else its own file. So a reader finds each run once, whether it listed the files before or after a
+pack was added.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 PACK = "pack-"
 ROW_GROUP = 1 << 17
-"""Rows of a row group of a pack at most."""
+"""Limit of the rows in a row group of a pack."""
 GROUPS_MAX = 1024
-"""Row groups of a file: what a footer says of each takes 6 KB of memory, and the rows of a run are in 32 at most."""
+"""Limit of the row groups in a file: each takes 6 KB of memory in a footer, and the rows of a run are in at most 32."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,13 +40,13 @@ class TableFile:
 
     @property
     def is_pack(self) -> bool:
-        """Whether it has many runs."""
+        """Whether it is a pack of many runs."""
         return is_pack(self.path)
 
 
 @dataclass(frozen=True, slots=True)
 class RowRange:
-    """Where the rows of a run are: so many of a file, from its row `first` on."""
+    """Where the rows of a run are: `number` rows of a file, from row `first` on."""
 
     file: TableFile
     first: int
@@ -54,7 +54,7 @@ class RowRange:
 
 
 def name_of(path: str) -> str:
-    """The name of a file: the key of its run, or that of a pack."""
+    """The name of a file: the key of its run, or the name of the pack."""
     return path.rpartition("/")[2].removesuffix(".parquet")
 
 
@@ -65,13 +65,13 @@ def is_pack(path: str) -> bool:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TableFiles:
-    """The files of a table: its packs, newest first, and the paths of files of one run by the key of the run."""
+    """The files of a table: its packs, newest first, and the paths of single runs by the key of the run."""
 
     packs: Sequence[TableFile]
     alone: Mapping[str, str]
 
     def newest(self) -> dict[str, TableFile]:
-        """The pack that counts for each run which is in any."""
+        """The pack that counts for each packed run."""
         found: dict[str, TableFile] = {}
         for file in self.packs:
             for key in file.rows:
@@ -80,14 +80,14 @@ class TableFiles:
 
 
 def paths_of(store: Store, table: str) -> tuple[list[str], dict[str, str]]:
-    """Packs, newest first, and the files of one run by its key."""
+    """Packs, newest first, and the files of single runs by key."""
     paths = find_files(store, table)
     packs = sorted(filter(is_pack, paths), key=name_of, reverse=True)
     return packs, {name_of(path): path for path in paths if not is_pack(path)}
 
 
 def read_files(store: Store, table: str) -> TableFiles:
-    """The files of a table. Raises UsageError for a pack that is damaged, InfrastructureError."""
+    """The files of a table. Raises UsageError for a damaged pack, InfrastructureError."""
     packs, alone = paths_of(store, table)
     with ThreadPoolExecutor(store.at_once) as threads:
         return TableFiles(packs=list(threads.map(partial(_pack, store), packs)), alone=alone)
@@ -112,7 +112,7 @@ def _footer(store: Store, path: str) -> "FileMetaData":
 
 
 def _pack(store: Store, path: str) -> TableFile:
-    """A pack, of which the column of keys is read. Raises UsageError where the rows of a run lie apart."""
+    """A pack with its column of keys read. Raises UsageError where the rows of a run are not contiguous."""
     with opened(store, path, dictionary=("run_key",)) as file:
         footer = check_rows(file.metadata)
         if any(footer.row_group(group).num_rows > ROW_GROUP for group in range(footer.num_row_groups)):
@@ -128,15 +128,16 @@ def _pack(store: Store, path: str) -> TableFile:
 
 
 def coded(column: Any) -> tuple[list[str | None], np.ndarray[tuple[int], np.dtype[Any]]]:
-    """The different texts of a column that was read as a dictionary, and which one each row has, shape (n,), or -1."""
+    """The different texts of a column read as a dictionary, and the text index of each row, shape (n,), or -1."""
     whole = column.unify_dictionaries().combine_chunks()
     return whole.dictionary.to_pylist(), numbers_of(whole.indices, -1)
 
 
 def numbers_of(column: "pyarrow.Array[Any]", null: int) -> np.ndarray[tuple[int], np.dtype[Any]]:
-    """A column of whole numbers, with `null` where it has none, shape (n,).
+    """A column of integers, with `null` where it has none, shape (n,).
 
-    From its buffers: what pyarrow has for it imports pandas where that is installed, which takes as long as an answer.
+    It is read from the buffers: pyarrow's own function imports pandas where it is installed, which takes as long as an
+    answer.
     """
     if not len(column):
         return np.zeros(0, column.type.to_pandas_dtype())
@@ -150,9 +151,9 @@ def numbers_of(column: "pyarrow.Array[Any]", null: int) -> np.ndarray[tuple[int]
 
 
 def check_rows(footer: "FileMetaData", most: int = BINS_MAX) -> "FileMetaData":
-    """The footer of a file. Raises ValueError where the file has more rows than `most`.
+    """Return the footer of a file. Raises ValueError where the file has more rows than `most`.
 
-    The number stands at the end of a file, so too much is refused before it is read.
+    The number of rows is at the end of a file, so a file that is too long is refused before it is read.
     """
     if footer.num_rows > most:
         raise ValueError(f"{footer.num_rows} rows, a file of this table has at most {most}")
@@ -163,23 +164,23 @@ def check_rows(footer: "FileMetaData", most: int = BINS_MAX) -> "FileMetaData":
 def opened(
     store: Store, path: str, *, footer: "FileMetaData | None" = None, dictionary: Sequence[str] = ()
 ) -> "Iterator[ParquetFile]":
-    """A Parquet file, of which the columns of `dictionary` are read as such.
+    """Open a Parquet file; the columns in `dictionary` are read as dictionaries.
 
-    Raises UsageError where what is in it is wrong, also for a ValueError that is raised within, InfrastructureError.
+    Raises UsageError where its content is wrong, also for a ValueError raised within the context; InfrastructureError.
     """
     import pyarrow
     import pyarrow.parquet
 
     try:
-        # A file of this machine by its path: pyarrow reads it without Python's lock. Of any other it asks for the
-        # ranges that it wants, each with one request.
+        # A local file is given by its path: pyarrow reads it without Python's lock. From any other file it requests the
+        # ranges that it needs, one request each.
         with nullcontext(path) if store.is_local else store.file_system.open(path, "rb", cache_type="none") as source:
             yield pyarrow.parquet.ParquetFile(
                 source,
                 metadata=footer,
                 read_dictionary=list(dictionary),
                 pre_buffer=not store.is_local,
-                thrift_container_size_limit=GROUPS_MAX,  # of every list in a footer
+                thrift_container_size_limit=GROUPS_MAX,  # for every list in a footer
             )
     except (pyarrow.ArrowException, ValueError) as error:
         raise damaged(store, f"{path}: {error}") from error
@@ -187,9 +188,9 @@ def opened(
         raise InfrastructureError(f"{store.address}: {path}: removed while it was read: ask again") from error
     except (UsageError, InfrastructureError):
         raise
-    except Exception as error:  # each object store has exceptions of its own
+    except Exception as error:  # each object store has its own exceptions
         reason = " ".join(str(error).split()) or type(error).__name__
-        if "thrift" in reason.lower():  # of pyarrow, which has no exception of its own for it
+        if "thrift" in reason.lower():  # from pyarrow, which has no exception type for it
             raise damaged(
                 store, f"{path}: its footer is damaged, or lists more than {GROUPS_MAX} row groups: {reason}"
             ) from error
@@ -197,7 +198,7 @@ def opened(
 
 
 def damaged(store: Store, what: str) -> UsageError:
-    """The error of a file that is not as rtrun writes it."""
+    """The error for a file that is not as rtrun writes it."""
     return UsageError(
         f"{store.address}: {what}; rtrun archive add writes the file of a run anew that is not whole; a pack that was "
         "cut off while it was written can be removed"

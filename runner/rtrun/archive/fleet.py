@@ -1,4 +1,4 @@
-"""How each board of an archive, and of a labgrid farm, stands: failed, offline, in quarantine, new, when last seen."""
+"""The state of each board of an archive and of a labgrid farm: failed, offline, in quarantine, new, last seen."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,25 +27,27 @@ class Farm:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ScenarioHealth:
-    """A scenario on a board: its last run, and the runs at the end that failed one after the other, the first one
-    first. A run failed that is not `ok`: it has no measurements that count."""
+    """A scenario on a board: its last run, and the failed runs since the last good one, oldest first.
+
+    A run failed if it is not `ok`: it has no measurements that count.
+    """
 
     last: RunRow
     failures: Sequence[RunRow]
 
     @property
     def reason(self) -> str:
-        """Why its last run failed, or as what it ended."""
+        """Why its last run failed, or else its status."""
         return f"{self.last.status}: {self.last.reason}" if self.last.reason else self.last.status
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BoardHealth:
-    """A board: its scenarios, on how many boots it was measured, and what the farm says of it.
+    """A board: its scenarios, on how many boots it was measured, and what the farm reports about it.
 
-    `last_run` is the start of its last run, `last_seen` that of the last one in which the board answered; UTC, without
-    a zone. `quarantine` and `failed_check` are tags of its place, `offline` says what nobody offers; all are None, too,
-    where no farm has such a place, or none was asked (`in_farm`).
+    `last_run` is the start of its last run, `last_seen` the start of the last run in which the board answered; UTC,
+    without a zone. `quarantine` and `failed_check` are tags of its place, `offline` names what is not offered. All
+    three are also None where no farm has such a place, or no farm was asked (`in_farm`).
     """
 
     board: str
@@ -65,7 +67,7 @@ class BoardHealth:
 
     @property
     def is_new(self) -> bool:
-        """Whether it was measured on too few boots for any change to be seen."""
+        """Whether it was measured on too few boots to see a change."""
         return self.boots < LEAST_BOOTS
 
     @property
@@ -75,12 +77,12 @@ class BoardHealth:
 
 
 def ask_farm(coordinator: str) -> Farm:
-    """What a coordinator says of its places. Raises as `list_places` does."""
+    """What a coordinator reports about its places. Raises as `list_places` does."""
     return Farm(places=list_places(coordinator), offered=list_resources(coordinator))
 
 
 def boards_of(runs: Iterable[RunRow], farm: Farm | None) -> list[BoardHealth]:
-    """Every board that was measured, or is a place of the farm, by name; those that need somebody first."""
+    """Every board that was measured or is a place of the farm, by name; boards that need attention come first."""
     of_board: dict[str, list[RunRow]] = {}
     for row in runs:
         of_board.setdefault(row.machine, []).append(row)
@@ -117,7 +119,7 @@ def _scenario(rows: Sequence[RunRow]) -> ScenarioHealth:
 
 
 def _when(row: RunRow) -> tuple[datetime, str]:
-    return row.start_utc or datetime.min, row.run_key  # one without a time says nothing of today
+    return row.start_utc or datetime.min, row.run_key  # a run without a time tells nothing about today
 
 
 def _last(rows: Iterable[RunRow]) -> datetime | None:

@@ -19,7 +19,7 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
 
     print_line(points[0].scenario)
     print_banner(Platform(points[0].platform))
-    # The column that --by names stands first, and not a second time among the others.
+    # The column that --by names comes first, and is not repeated among the others.
     leading = {"kernel": ("kernel", "board"), "board": ("board", "kernel")}.get(by, (by, "board", "kernel"))
     percentiles = [f"p{p:g}" for p in _SHOWN]
     rows = [[*leading, "runs", "boots", "n", *percentiles, "max", f"P(> {time(deadline_ns)})"]]
@@ -36,7 +36,7 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
                 misses_text(point),
             ]
         )
-    # Not by rich, which takes 5 ms for a row: there may be thousands.
+    # Not with rich, which takes 5 ms per row: there may be thousands.
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     rows.insert(1, ["─" * width for width in widths])
     for row in rows:

@@ -1,7 +1,7 @@
-"""The last figures of every course as OpenMetrics text, and a dashboard of Grafana for them.
+"""The last figures of every course as OpenMetrics text, and a Grafana dashboard for them.
 
-No line has a time stamp: Prometheus drops what is older than some minutes, and node_exporter refuses a file with one.
-When a run was begun is a metric of its own.
+No line has a time stamp: Prometheus drops lines older than some minutes, and node_exporter refuses a file with time
+stamps. The start of a run is a separate metric.
 """
 
 import json
@@ -17,9 +17,9 @@ _PERCENTILES = (50.0, 99.0, 99.9, 99.99)
 
 
 def open_metrics(courses: Sequence[Course], boards: Sequence[BoardHealth], *, deadline_ns: int) -> str:
-    """The last run of every course, and how each board stands, in the text format of OpenMetrics 1.0.
+    """The last run of every course, and the state of each board, in the text format of OpenMetrics 1.0.
 
-    Times are in s, those of a start since 1970.
+    Times are in s; start times are seconds since 1970.
     """
     lines = [
         "# TYPE rtrun_value_seconds gauge",
@@ -59,7 +59,7 @@ def open_metrics(courses: Sequence[Course], boards: Sequence[BoardHealth], *, de
 
 
 def _of_boards(boards: Sequence[BoardHealth]) -> Iterator[str]:
-    """What is known of each board; what only a farm knows is there for its places alone."""
+    """What is known about each board; what only a farm knows appears only for its places."""
     in_farm = [board for board in boards if board.in_farm]
     yield from _gauge(
         "rtrun_run_failed",
@@ -109,10 +109,10 @@ def _labels_of(scenario: ScenarioHealth) -> dict[str, str]:
 def _gauge(
     name: str, what: str, samples: Sequence[tuple[Mapping[str, str], float]], unit: str | None = None
 ) -> Iterator[str]:
-    """A metric with its samples; nothing where there are none.
+    """A metric with its samples; nothing without samples.
 
-    Prometheus refuses a page in which two samples have the same labels, as names do that differ in a control character:
-    of such the highest counts.
+    Prometheus refuses a page in which two samples have the same labels. Names that differ only in a control character
+    give equal labels; the highest such sample counts.
     """
     if samples:
         yield f"# TYPE {name} gauge"
@@ -152,12 +152,12 @@ def _line(metric: str, course: Course, value: float, **labels: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    # The format allows every control character but the line's end. A terminal would obey them.
+    # The format allows every control character except the line end. A terminal would obey them.
     return printable(text).replace("\\", "\\\\").replace('"', '\\"')
 
 
 def grafana_dashboard() -> str:
-    """A dashboard to import into Grafana, whose data source is chosen there: quantiles, highest values, misses."""
+    """A dashboard to import into Grafana, where the data source is chosen: quantiles, highest values, misses."""
     queries = (
         ("Percentiles", 'rtrun_value_seconds{machine=~"$machine"}', "{{machine}} {{scenario}} p{{percentile}}", "s"),
         ("Highest value", 'rtrun_highest_seconds{machine=~"$machine"}', "{{machine}} {{scenario}}", "s"),

@@ -1,6 +1,6 @@
-"""What people say of the runs of an archive: files that are added beside the tables, each with who, when and why.
+"""Notes that people add to the runs of an archive: files next to the tables, each with author, time and reason.
 
-Nothing in the tables is rewritten for them. A note is undone by another one that withdraws it.
+Nothing in the tables is rewritten for them. A note is undone by another note that withdraws it.
 """
 
 import math
@@ -31,12 +31,12 @@ class NoteHead(Config):
 
     @property
     def words(self) -> str:
-        """The reason, and whose it is."""
+        """The reason, and its author."""
         return f"{self.reason} ({self.who}, {self.at:%Y-%m-%d})"
 
 
 class IgnoreNote(NoteHead):
-    """Runs that count in no answer: those that all of these patterns are of, begun from `begin` on and before `end`."""
+    """Runs that count in no answer: those that match all patterns and started from `begin` on and before `end`."""
 
     kind: Literal["ignore"] = "ignore"
     machine: Text | None = None
@@ -51,7 +51,7 @@ class IgnoreNote(NoteHead):
 
 
 class AcceptNote(NoteHead):
-    """The level of the courses that these patterns hold for is as it should be from `begin` on."""
+    """The level of the courses that match these patterns is as it should be from `begin` on."""
 
     kind: Literal["accept"] = "accept"
     machine: Text | None = None
@@ -60,8 +60,10 @@ class AcceptNote(NoteHead):
 
 
 class KnownNote(NoteHead):
-    """What got worse before this note, on these boards and in these scenarios, is known; so is a quarantine where
-    no scenario is named. It stays WORSE, and nobody is called for it."""
+    """What got worse on these boards and in these scenarios before this note is known.
+
+    Without a scenario, so is a quarantine. The course stays WORSE, but nobody is notified.
+    """
 
     kind: Literal["known"] = "known"
     machine: Text | None = None
@@ -69,15 +71,15 @@ class KnownNote(NoteHead):
 
 
 class RetainNote(NoteHead):
-    """How long the rows of a table are kept after a run was begun; None: for ever. The last one of a table counts."""
+    """How long a table keeps the rows of a run after its start; None: forever. The last such note of a table counts."""
 
     kind: Literal["retain"] = "retain"
     table: Table
-    days: Days | None = None  # earlier versions left it out where they meant for ever
+    days: Days | None = None  # earlier versions left it out to mean forever
 
 
 class WithdrawNote(NoteHead):
-    """A note that no longer holds, by its name."""
+    """Withdraws another note, by its name."""
 
     kind: Literal["withdraw"] = "withdraw"
     note: Text
@@ -86,21 +88,21 @@ class WithdrawNote(NoteHead):
 HeldNote = IgnoreNote | AcceptNote | KnownNote | RetainNote
 Note = Annotated[HeldNote | WithdrawNote, Field(discriminator="kind")]
 PATTERNS = ("machine", "scenario", "kernel_release", "commit", "image", "boot_id", "run")
-"""What runs are told by; each is a pattern of the shell, as board-*."""
+"""The facts that select runs; each is a shell pattern, such as board-*."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Notes:
-    """The notes of an archive that hold, by name, the first one first."""
+    """The notes of an archive that hold, by name, oldest first."""
 
     held: Mapping[str, HeldNote]
 
     def ignores(self) -> list[IgnoreNote]:
-        """Those that runs are left out for."""
+        """The notes that exclude runs."""
         return [note for note in self.held.values() if isinstance(note, IgnoreNote)]
 
     def accepted(self, machine: str, scenario: str) -> AcceptNote | None:
-        """The last one that the level of a course was accepted by."""
+        """The last note that accepted the level of a course."""
         fitting = [
             note
             for note in self.held.values()
@@ -109,7 +111,7 @@ class Notes:
         return max(reversed(fitting), key=lambda note: note.begin, default=None)
 
     def known(self, machine: str, scenario: str | None) -> list[KnownNote]:
-        """Those that say that what is wrong is known: of a course, or of a board (`scenario` None)."""
+        """The notes that call a problem known: of a course, or of a board (`scenario` None)."""
         return [
             note
             for note in self.held.values()
@@ -117,19 +119,18 @@ class Notes:
         ]
 
     def kept_since(self, table: str, now: datetime, grace: timedelta = timedelta(0)) -> datetime | None:
-        """Runs that were begun before are no longer kept in a table, and have not been for the time of `grace`, by any
-        note that held meanwhile. None: all are kept. `now` is in UTC.
+        """The start time before which a table keeps no runs, and has kept none during `grace` by any note of that time.
 
-        What was measured is not kept for longer than the run that it is of.
+        None: all runs are kept. `now` is in UTC. Measurements are not kept longer than the row of their run.
         """
         known = [days for name in {table, "runs"} if (days := self._days(name, now - grace)) is not None]
         return now - grace - timedelta(days=min(known)) if known else None
 
     def _days(self, table: str, since: datetime) -> int | None:
-        """The longest time, in days, for which a table was to be kept at any moment since then; None: for ever.
+        """The longest time, in days, for which a table had to be kept at any moment since then; None: forever.
 
-        The order of notes is that of their stamps. Where two have the same, nobody knows which one was meant to be the
-        last: the longer time holds.
+        Notes are ordered by their stamps. If two have the same stamp, their order is unknown, and the longer time
+        holds.
         """
         retains = [
             (stamp_of(name), math.inf if note.days is None else note.days, note.at)
@@ -148,13 +149,13 @@ def _fits(pattern: str | None, text: str | None) -> bool:
 
 
 def fits_course(note: AcceptNote | KnownNote, machine: str, scenario: str) -> bool:
-    """Whether a note is of a run's course, or of one by another series of it, as "cyclic_timer RR 1000 Hz, jitter"."""
+    """Whether a note is about a course or another series of it, such as "cyclic_timer RR 1000 Hz, jitter"."""
     patterns = (note.scenario, note.scenario and note.scenario.rpartition(", ")[0])
     return _fits(note.machine, machine) and any(_fits(pattern, scenario) for pattern in patterns)
 
 
 def fits_run(note: IgnoreNote, facts: Callable[[str], str | None], start: datetime | None) -> bool:
-    """Whether a run is one of those that a note ignores, by its facts and its start."""
+    """Whether a note ignores a run, by the facts and the start of the run."""
     if (note.begin or note.end) and start is None:
         return False
     if (note.begin and start and start < note.begin) or (note.end and start and start >= note.end):
@@ -167,7 +168,7 @@ _KIND = EntryKind(folder="notes", reader=_READER, entries_max=_NOTES_MAX, bytes_
 
 
 def read_notes(store: Store) -> Notes:
-    """The notes that hold. Raises UsageError for a file that is none, InfrastructureError."""
+    """The notes that hold. Raises UsageError for a file that is not a note, InfrastructureError."""
     found: dict[str, HeldNote] = {}
     withdrawn: set[str] = set()
     for name, note in read_entries(store, _KIND):
@@ -179,7 +180,7 @@ def read_notes(store: Store) -> Notes:
 
 
 def add_note(store: Store, note: HeldNote | WithdrawNote) -> str:
-    """Add a note to an archive, after all that are there; returns its name. Raises UsageError, InfrastructureError."""
+    """Add a note to an archive, after all existing ones; returns its name. Raises UsageError, InfrastructureError."""
     return add_entry(store, _KIND, note, note.at)
 
 

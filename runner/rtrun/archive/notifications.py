@@ -1,4 +1,4 @@
-"""Who was told what: files that are added to the archive, one for each message that arrived."""
+"""Who was notified of what: a file in the archive for each message that arrived."""
 
 from collections.abc import Collection, Sequence
 from datetime import datetime
@@ -19,7 +19,7 @@ _Level = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class NotifiedAlarm(Config):
-    """An alarm of a message, by its key: the last run that was known then, and the levels of its figures."""
+    """An alarm of a message, by its key: the last run known at that time, and the levels of its figures."""
 
     key: Annotated[str, matching("[0-9a-f]{64}", "a SHA-256")]
     last_run: Moment | None = None
@@ -27,7 +27,7 @@ class NotifiedAlarm(Config):
 
 
 class Notification(Config):
-    """A message that a receiver took, at a time in UTC without a zone."""
+    """A message that a receiver accepted, at a time in UTC without a zone."""
 
     schema_number: Literal[1] = Field(alias="schema")
     at: Moment
@@ -39,17 +39,17 @@ _KIND = EntryKind(folder="told", reader=TypeAdapter(Notification), entries_max=_
 
 
 def read_told(store: Store) -> list[Notification]:
-    """Every message, the first one first. Raises UsageError for a file that is none, InfrastructureError."""
+    """Every message, oldest first. Raises UsageError for a file that is not a message, InfrastructureError."""
     return [message for _, message in read_entries(store, _KIND)]
 
 
 def check_memory(store: Store, messages: Sequence[Notification], more: int) -> None:
-    """Raise UsageError where the archive cannot remember so many more messages: all would be told again."""
+    """Raise UsageError where the archive has no room to record `more` messages: all would be sent again."""
     check_room(store, _KIND, len(messages), more)
 
 
 def add_told(store: Store, receiver: str, alarms: Collection[Alarm], now: datetime) -> None:
-    """Remember that a receiver was told of alarms. Raises UsageError, InfrastructureError."""
+    """Record that a receiver was notified of alarms. Raises UsageError, InfrastructureError."""
     told = [
         NotifiedAlarm(
             key=one.key, last_run=one.last_run, levels={name: level for name, (level, _) in one.levels.items()}
@@ -61,7 +61,7 @@ def add_told(store: Store, receiver: str, alarms: Collection[Alarm], now: dateti
 
 
 def not_told(receiver: str, alarms: Sequence[Alarm], messages: Sequence[Notification]) -> list[Alarm]:
-    """The alarms that a receiver has not heard of, of those that are not known."""
+    """The alarms that a receiver has not received yet, without known ones."""
     told: dict[str, NotifiedAlarm] = {}
     for message in messages:
         if message.receiver == receiver:

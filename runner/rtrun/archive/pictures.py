@@ -16,12 +16,12 @@ from rtrun.report.plots.drawing import Mark, Plot
 
 _LINES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "p99.99": 99.99}
 _COLOURS = (0, 2, 3, 6, 1)  # of the lines, and of the highest value
-_SPAN = 10.0  # of the highest value to the lowest, from which on an axis is logarithmic
-_LIMIT_SPAN = 5.0  # a deadline farther than so many times the highest value would take the plot
+_SPAN = 10.0  # ratio of the highest to the lowest value from which an axis is logarithmic
+_LIMIT_SPAN = 5.0  # a deadline beyond this many times the highest value would dominate the plot
 
 
 def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int) -> list[Plot]:
-    """Percentiles and the highest value over time, the share of misses where there are any, a line for each change."""
+    """Percentiles and the highest value over time, the share of misses if there are any, a line for each change."""
     points = [run.point for run in course.runs]
     seconds = np.array([_seconds(point.start_utc) for point in points])
     along = axes.dates("start of the run, UTC", seconds.min(), seconds.max())
@@ -78,14 +78,14 @@ def _scale(values: Sequence[float]) -> Scale:
     low, high = min(values), max(values)
     if low > 0 and high > _SPAN * low:
         return Scale(division=Division.LOG, low=low / 1.2, high=high * 1.2)
-    # Zero is on it; values that fire early are all below.
+    # The axis includes zero; values of timers that fire early are all below it.
     low, high = min(0.0, low), max(0.0, high)
     return Scale(division=Division.LINEAR, low=low * 1.05, high=high * 1.05 if high else float(low == 0))
 
 
 def _line(colour: int, name: str, x: Floats, y: Floats) -> Mark:
     known = np.isfinite(y)
-    # There is no line through one point.
+    # A single point has no line.
     return Mark(
         name=name, kind="solid" if np.count_nonzero(known) > 1 else "dots", x=x[known], y=y[known], colour=colour
     )

@@ -1,4 +1,4 @@
-"""What an archive answers: figures of runs together, from their histograms.
+"""Answers from an archive: figures of several runs together, from their histograms.
 
 A percentile is the lower edge of the bin that holds the value of its rank (nearest rank, as in every report). So it is
 the report's figure, rounded down to a step of the clock.
@@ -22,10 +22,10 @@ from rtrun.kinds.lateness import judged
 from rtrun.kinds.limits import BINS_MAX
 from rtrun.plan.suites import measures
 
-# Rows of histograms that are held at one time, which takes up to 150 bytes each. A run has some ten thousand.
+# How many histogram rows are held at a time, each up to 150 bytes. A run has some ten thousand.
 ROWS_MAX = 2 * BINS_MAX
-_LARGE = 4096  # rows of a group
-_LATEST = datetime.max  # of what has no time: it stands last
+_LARGE = 4096  # rows per group
+_LATEST = datetime.max  # sorts runs without a time last
 _LABELS: dict[By, Callable[[RunRow], str]] = {
     "day": lambda row: _moment(row, "%Y-%m-%d"),
     "month": lambda row: _moment(row, "%Y-%m"),
@@ -35,7 +35,7 @@ _LABELS: dict[By, Callable[[RunRow], str]] = {
     "image": lambda row: row.image or "unknown",
     "run": lambda row: f"{_moment(row, '%Y-%m-%d %H:%M:%S')} {row.run}" if row.start_utc else row.run,
 }
-# Which points follow one another: by time, and for boards and kernels side by side.
+# The order of points: by time, and for boards and kernels side by side.
 _ORDERS: dict[By, Callable[["_Group"], tuple[object, ...]]] = {
     "kernel": lambda group: (group.label, group.row.machine, group.start),
     "board": lambda group: (group.row.machine, group.start),
@@ -48,13 +48,13 @@ def _moment(row: RunRow, form: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Point:
-    """Runs of one scenario on one board and kernel together, by one series of theirs; the scenario names it where
-    another one is usual.
+    """Runs of one scenario on one board and kernel together, for one of their series.
 
-    `run_keys` are their names in the archive; `off_rate` counts others, which are left out because they missed the rate
-    that was asked for. `n` counts what was asked for but for the start-up; `misses` are late or never came, None where
-    a histogram does not reach to the deadline. `unclear` of them lie in the bin of the deadline and may have met it. A
-    percentile or the highest value is None where it is among values known by number only.
+    `scenario` names the series unless it is the usual one. `run_keys` are their names in the archive; `off_rate` counts
+    further runs, left out because they missed the requested rate. `n` counts the requested values without the start-up;
+    `misses` are late or never came, None where a histogram does not reach up to the deadline. `unclear` of them lie in
+    the bin of the deadline and may have met it. A percentile or the highest value is None where it falls among values
+    that are only counted.
     """
 
     scenario: str
@@ -83,8 +83,10 @@ class Point:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Group:
-    """Runs that belong to one point of each of their series: those that are ok, by time, and how many missed their
-    rate."""
+    """Runs that belong to one point for each of their series.
+
+    They are the ok runs, sorted by time, and how many missed their rate.
+    """
 
     label: str
     runs: Sequence[RunRow]
@@ -100,17 +102,17 @@ class _Group:
 
 
 def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = None) -> list[Point]:
-    """The figures of every point, scenario by scenario; runs that are not ok are in none.
+    """The figures of every point, scenario by scenario; runs that are not ok are left out.
 
-    `of` are the values that have the deadline, None: what each suite measures first, where a run has it. Runs of which
-    other values are known are in other points, or in none. Raises UsageError, InfrastructureError.
+    `of` are the values that have the deadline; None: the first measure of each suite, where a run has it. Runs with
+    other known values are in other points, or in none. Raises UsageError, InfrastructureError.
     """
     groups = _groups(archive.runs, by)
     reader = BinReader(archive.store)
     held = [sum(archive.histograms[row.run_key].number for row in _known(archive, group)) for group in groups]
     number = _threads(archive.store, held)
     with ThreadPoolExecutor(number) as threads:
-        # To hand over so little to a single thread takes as long as to compute it.
+        # Handing such small work to a single thread takes as long as computing it.
         each = threads.map if number > 1 else map
         made = each(lambda group: list(_points(archive, reader, group, deadline_ns, of)), groups)
         points = [point for of_group in made for point in of_group]
@@ -118,10 +120,10 @@ def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = 
 
 
 def _threads(store: Store, held: Sequence[int]) -> int:
-    """How many threads read and compute groups of so many rows; together they hold at most ROWS_MAX.
+    """How many threads read and compute groups of these sizes; together they hold at most ROWS_MAX rows.
 
-    More than one is faster where files are waited for, or where groups are large: only for long arrays does numpy leave
-    Python's lock to others.
+    More than one thread is faster where files are waited for, or where groups are large: numpy releases Python's lock
+    only for long arrays.
     """
     if store.is_local and sum(held) < _LARGE * len(held):
         return 1
@@ -130,7 +132,7 @@ def _threads(store: Store, held: Sequence[int]) -> int:
 
 
 def _groups(runs: Sequence[RunRow], by: By) -> list[_Group]:
-    """The runs that are shown together, in the order in which they are shown."""
+    """The runs that are shown together, in display order."""
     members: dict[tuple[object, ...], list[RunRow]] = {}
     label = _LABELS[by]
     for row in runs:
@@ -189,7 +191,7 @@ def _points(
 
 @cache
 def _series_of(suite: str, names: tuple[str, ...], of: Measure | None) -> str | None:
-    """Which of these series of a run the question is of; None for none."""
+    """Which of these series of a run the question is about; None if it is about none."""
     known = {called(name): name for name in names}
     wanted = measures(suite)
     try:

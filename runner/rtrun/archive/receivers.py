@@ -1,7 +1,7 @@
 """Who is notified of alarms, and how: a command, a web hook, a mail.
 
-Names of boards and scenarios may be anybody's. So no text of an alarm is part of a command line, of an address or of a
-header: a command has it as standard input, a hook as JSON, a mail as its body.
+Anybody may choose the names of boards and scenarios. So no text of an alarm becomes part of a command line, an address
+or a header: a command receives it on standard input, a hook as JSON, a mail as its body.
 """
 
 import json
@@ -26,12 +26,12 @@ from rtrun.archive.alarms import Alarm, Kind
 from rtrun.targets.address import check_server
 
 RECEIVE_S = 60.0
-"""For all that telling one receiver takes, the look-up of its name included."""
+"""Limit for notifying one receiver, including the look-up of its name."""
 STDERR_BYTES_MAX = 4096
-"""What is kept of the end of a command's standard error."""
-_STDERR_S = 5.0  # for the end of it, where something in the background keeps it open
+"""How much is kept of the end of a command's standard error."""
+_STDERR_S = 5.0  # for its end, where a background process keeps it open
 SHOWN_MAX = 50
-"""Alarms that a text spells out."""
+"""How many alarms a text spells out."""
 _TITLES: dict[Kind, tuple[str, str, str]] = {
     "worse": ("WORSE", "scenario", "got worse"),
     "worse build": ("WORSE", "case", "of a build worse than its history"),
@@ -40,7 +40,7 @@ _TITLES: dict[Kind, tuple[str, str, str]] = {
     "quarantine": ("QUARANTINE", "board", "in quarantine"),
     "new": ("NEW", "board", "new"),
 }
-"""By the kind of an alarm: its word, and what is counted in a title."""
+"""By the kind of an alarm: its word, and what a title counts."""
 _Name = Annotated[str, matching(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,99}", "a name of letters, digits and . _ - and spaces")]
 _Address = Annotated[str, matching(r"[^\s<>,;:\"()\[\]@]{1,64}@[^\s<>,;:\"()\[\]@]{1,255}", "an address, as a@b.org")]
 
@@ -60,7 +60,7 @@ _Word = Annotated[str, matching(r"[^\0]+", "a word without a NUL")]
 
 
 class CommandReceiver(Config):
-    """A command line, not of a shell, that reads the text."""
+    """A command line, run without a shell, that reads the text."""
 
     name: _Name
     kind: Literal["command"]
@@ -68,7 +68,7 @@ class CommandReceiver(Config):
 
 
 class HookReceiver(Config):
-    """An address that takes a POST of JSON."""
+    """An address that accepts a POST of JSON."""
 
     name: _Name
     kind: Literal["hook"]
@@ -76,7 +76,7 @@ class HookReceiver(Config):
 
 
 class MailReceiver(Config):
-    """A mail server that takes mail without a login, and for whom."""
+    """A mail server that accepts mail without a login, and the recipients."""
 
     name: _Name
     kind: Literal["mail"]
@@ -89,10 +89,10 @@ AnyReceiver = Annotated[CommandReceiver | HookReceiver | MailReceiver, Field(dis
 
 
 class Receivers(Config):
-    """A file of who is told what.
+    """A file that states who is notified of what.
 
-    `site` is where the pages of `rtrun site` are served, for links. `coordinator` is that of a labgrid farm, whose
-    boards in quarantine are told, too.
+    `site` is where the pages of `rtrun site` are served, for links. `coordinator` belongs to a labgrid farm; its boards
+    in quarantine are reported too.
     """
 
     schema_number: Literal[1] = Field(alias="schema")
@@ -102,9 +102,9 @@ class Receivers(Config):
 
 
 def tell(receiver: CommandReceiver | HookReceiver | MailReceiver, alarms: Sequence[Alarm], site: str | None) -> None:
-    """Tell a receiver of alarms, of which there is one at least, within RECEIVE_S.
+    """Notify a receiver of alarms, at least one, within RECEIVE_S.
 
-    Raises InfrastructureError where it does not take them, whatever the reason.
+    Raises InfrastructureError where the receiver does not accept them, whatever the reason.
     """
     try:
         match receiver:
@@ -123,20 +123,20 @@ def tell(receiver: CommandReceiver | HookReceiver | MailReceiver, alarms: Sequen
                     subject=title(alarms),
                     text=as_text(alarms, site, most=len(alarms)),
                 )
-    except Exception as error:  # of this receiver alone: the others are told
+    except Exception as error:  # of this receiver only: the others are notified
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise InfrastructureError(f"{receiver.name}: not told: {printable(str(reason))[:300]}") from error
 
 
 def title(alarms: Sequence[Alarm]) -> str:
-    """How many there are, without a name."""
+    """How many alarms there are, without names."""
     counts = Counter(str(alarm.kind) for alarm in alarms)
     parts = [f"{counted(counts[kind], noun)} {rest}" for kind, (_, noun, rest) in _TITLES.items() if counts[kind]]
     return f"rtrun: {', '.join(parts)}"
 
 
 def as_text(alarms: Sequence[Alarm], site: str | None, *, most: int) -> str:
-    """The alarms for people, some lines each, of so many at most."""
+    """The alarms for people, some lines each, at most `most` alarms."""
     lines = [title(alarms).removeprefix("rtrun: "), ""]
     for alarm in alarms[:most]:
         shown = _shown(alarm, site)
@@ -148,7 +148,7 @@ def as_text(alarms: Sequence[Alarm], site: str | None, *, most: int) -> str:
 
 
 def as_data(alarms: Sequence[Alarm], site: str | None) -> dict[str, Any]:
-    """The alarms as plain data; `text` is what hooks of chats show: of many the first ones."""
+    """The alarms as plain data; `text` is what chat hooks show, limited to the first alarms."""
     return {
         "schema": 1,
         "text": as_text(alarms, site, most=SHOWN_MAX),
@@ -157,13 +157,13 @@ def as_data(alarms: Sequence[Alarm], site: str | None) -> dict[str, Any]:
 
 
 def _shown(alarm: Alarm, site: str | None) -> dict[str, str | None]:
-    """What of an alarm is told, each text one line that can be encoded."""
+    """The parts of an alarm that are sent, each text one line that can be encoded."""
     texts = {name: printable(getattr(alarm, name)) for name in ("kind", "about", "size", "since", "suspected")}
     return {**texts, "link": f"{site.rstrip('/')}/{alarm.page}" if site and alarm.page else None}
 
 
 class _Failed(Exception):
-    """A command ended with a status other than 0, and wrote this line last."""
+    """A command ended with a status other than 0, and this was its last line."""
 
     def __init__(self, status: int, line: str) -> None:
         super().__init__(line)
@@ -183,12 +183,12 @@ def _deliver(**message: Any) -> None:
 
 
 def _run(command: Sequence[str], content: bytes) -> None:
-    """Run a command that reads content, and wait until it ends, not what it leaves in the background.
+    """Run a command that reads `content`, and wait until it ends, but not for its background processes.
 
     Raises OSError where it cannot be started, _Failed where it fails, and SubprocessError where it takes longer than
-    RECEIVE_S. Then it is killed, with all of its process group.
+    RECEIVE_S; then its whole process group is killed.
     """
-    with tempfile.TemporaryFile() as source:  # of a pipe, it would have to read all
+    with tempfile.TemporaryFile() as source:  # it would have to read all of a pipe
         source.write(content)
         source.seek(0)
         process = subprocess.Popen(
@@ -210,9 +210,9 @@ def _run(command: Sequence[str], content: bytes) -> None:
 
 
 class _End(threading.Thread):
-    """Reads a program's standard error, however much it is, and keeps the end of it.
+    """Reads a program's standard error, however long, and keeps the end of it.
 
-    What the program leaves in the background may write there, too, for as long as this process lives.
+    Background processes of the program may also write there, for as long as this process lives.
     """
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:

@@ -1,6 +1,6 @@
-"""The table of runs, read: a row for each run that the archive has, each value of the type that docs/archive.md says.
+"""Reads the table of runs: a row for each run in the archive, with the value types that docs/archive.md defines.
 
-Whoever may write a file of the archive may write anything into it.
+Anybody who may write to a file of the archive may write anything into it.
 """
 
 from collections import Counter
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
 
 PACKED_MAX = 1 << 13
-"""Runs of a pack."""
+"""Limit of the runs in a pack."""
 _TEXT_BYTES_MAX = 1 << 28  # of all texts in a file: those of a run take some KB
-PARTITIONED = ("machine", "suite")  # in schema 1 they stood in the path alone, as machine=NAME/suite=NAME
+PARTITIONED = ("machine", "suite")  # in schema 1 they were only in the path, as machine=NAME/suite=NAME
 
 
 class RunRow(NamedTuple):
-    """A run: what tells it from others, and its circumstances; None where nothing is known.
+    """A run: what distinguishes it from others, and its circumstances; None where nothing is known.
 
     `packages` is JSON; temperature in mC, frequency in kHz; `start_utc` has no zone.
     """
@@ -63,7 +63,7 @@ class RunRow(NamedTuple):
 
     @property
     def boot(self) -> str:
-        """Its boot; one of its own where that is not known."""
+        """Its boot; a boot of its own where that is not known."""
         return self.boot_id or self.run_key
 
 
@@ -73,9 +73,9 @@ _TEXTS = RunRow._fields[: RunRow._fields.index("off_rate")]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Archive:
-    """What an archive has: its runs that count, in the order of their keys, and where their histograms are.
+    """The content of an archive: the runs that count, sorted by key, and where their histograms are.
 
-    `ignored` says how many runs do not count, by the reason.
+    `ignored` is how many runs do not count, by reason.
     """
 
     store: Store
@@ -86,13 +86,13 @@ class Archive:
 
 
 def read_archive(store: Store, now: datetime | None = None) -> Archive:
-    """What an archive has at a time in UTC without a zone, by default this one.
+    """The content of an archive at a time in UTC without a zone, by default now.
 
     Raises UsageError when it has no runs or a file is damaged, InfrastructureError.
     """
     now = now or datetime.now(UTC).replace(tzinfo=None)
     notes = read_notes(store)
-    # In this order: the histogram of a run is written before its row.
+    # In this order, because the histogram of a run is written before its row.
     rows = read_runs(store)
     if not rows:
         raise UsageError(f"{store.address}: there are no runs in this archive")
@@ -110,7 +110,7 @@ def read_archive(store: Store, now: datetime | None = None) -> Archive:
 
 
 def last_runs(rows: Iterable[RunRow]) -> dict[str, RunRow]:
-    """The run of each board that was begun last, by the board's name."""
+    """The last run of each board, by the board's name."""
     last: dict[str, RunRow] = {}
     for row in rows:
         if row.machine not in last or _begin(row) >= _begin(last[row.machine]):
@@ -123,17 +123,17 @@ def _begin(row: RunRow) -> datetime:
 
 
 def ignored_by(row: RunRow, notes: Notes) -> IgnoreNote | None:
-    """The first note for which a run does not count; None where it does."""
+    """The first note that excludes a run; None where no note does."""
     return next((note for note in notes.ignores() if fits_run(note, partial(getattr, row), row.start_utc)), None)
 
 
 def is_kept(row: RunRow, since: datetime | None) -> bool:
-    """Whether a run was begun late enough to be kept; None: all are, and so is one without a time."""
+    """Whether a run began late enough to be kept; with None all are kept, and so is a run without a time."""
     return since is None or row.start_utc is None or row.start_utc >= since
 
 
 def read_runs(store: Store) -> list[RunRow]:
-    """Every run of an archive once, in the order of their keys. Raises UsageError, InfrastructureError."""
+    """Every run of an archive once, sorted by key. Raises UsageError, InfrastructureError."""
     packs, alone = paths_of(store, "runs")
     found: dict[str, RunRow] = {}
     with ThreadPoolExecutor(store.at_once) as threads:
@@ -174,7 +174,7 @@ def _rows(store: Store, path: str) -> list[RunRow]:
 
 
 def _check_size(file: "ParquetFile") -> None:
-    """Raise ValueError where the texts of a file take too much memory."""
+    """Raise ValueError where the texts of a file would take too much memory."""
     footer = file.metadata
     size = 0
     for group in map(footer.row_group, range(footer.num_row_groups)):
@@ -185,12 +185,12 @@ def _check_size(file: "ParquetFile") -> None:
 
 
 def _as(type_: "DataType", column: Any) -> Any:
-    """A column as one of this type. pyarrow loads its functions only where there is something to convert."""
+    """A column converted to this type. pyarrow loads its functions only when there is something to convert."""
     return column if column.type == type_ else column.cast(type_)
 
 
 def _texts(table: Any, name: str) -> list[Any]:
-    """A column of texts; each different one is made once."""
+    """A column of texts; equal texts share one object."""
     import pyarrow
 
     column = _as(pyarrow.dictionary(pyarrow.int32(), pyarrow.string()), table[name])
@@ -209,5 +209,5 @@ def _times(moments: Sequence[datetime | None]) -> Iterator[datetime | None]:
 
 
 def in_path(path: str, name: str) -> str:
-    """What a folder of schema 1 has by this name."""
+    """The value that a schema 1 path has for this name."""
     return unquote(path.partition(f"/{name}=")[2].partition("/")[0])

@@ -1,4 +1,4 @@
-"""A site of static pages about an archive: all scenarios, all boards, a page for each course, and figures for Grafana.
+"""A static site about an archive: all scenarios, all boards, a page for each course, and figures for Grafana.
 
 Pages of the report and of the site share styles and plotting code.
 """
@@ -40,9 +40,9 @@ def write_site(
     deadline_ns: int,
     confidence: float,
 ) -> list[Path]:
-    """Write every file of the site into a folder that exists; returns them, the front page first. Raises OSError.
+    """Write every file of the site into an existing folder; returns them, the front page first. Raises OSError.
 
-    `farm` says what is not known of boards because no farm told it, empty where one did.
+    `farm` states what is not known about boards because no farm reported it, empty if a farm did.
     """
     by_course: dict[tuple[str, str, str, str, str], list[Trend]] = {course.identity: [] for course in courses}
     for trend in trends:
@@ -51,7 +51,7 @@ def write_site(
     cards.sort(key=lambda card: (card["state"].style != "refuted", card["label"]))
     banners = {card["banner"] for card in cards}
     words = {
-        # Readers of the pages need not know where the archive lies.
+        # Readers of the pages need not know where the archive is stored.
         "archive": archive.rstrip("/").rpartition("/")[2],
         "deadline": time(deadline_ns),
         "percentiles": [f"p{p:g}" for p in _SHOWN],
@@ -84,7 +84,7 @@ def write_site(
 
 
 def _health(board: BoardHealth) -> dict[str, Any]:
-    """A board with all that is to be said of it, each with the class of its style, and when it was last seen."""
+    """A board with everything to report about it, each with the class of its style, and when it was last seen."""
     said = []
     if board.quarantine:
         said.append(("refuted", f"✗ QUARANTINE: {in_words(board.quarantine)}"))
@@ -157,7 +157,7 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
 
 
 def _answer(states: Sequence[CourseState]) -> str:
-    """What is known of all courses, in one sentence."""
+    """What is known about all courses, in one sentence."""
     counts = Counter(state.word for state in states)
     said = [f"{counts[word]} {text}" for word, text in SAID.items() if counts[word]] or ["nothing is known yet"]
     return f"Of {counted(len(states), 'scenario')} {', '.join(said)}."

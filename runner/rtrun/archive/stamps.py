@@ -1,9 +1,9 @@
-"""In which order the files of an archive were written: by the stamps in their names, never by a clock alone.
+"""The order in which the files of an archive were written: by the stamps in their names, not by clocks alone.
 
-A stamp looks like a time in UTC, as 20261124T101500Z. A writer lists what is there first, and takes its clock's time or
-the second after the latest stamp, whichever is later. So what was written with another file in sight comes after it,
-within one second, on a machine whose clock is slow, and after a clock was put back. Only files that were written at the
-same moment, neither in sight of the other, may have the same stamp.
+A stamp looks like a time in UTC, such as 20261124T101500Z. A writer first lists the existing files, then takes the time
+of its clock or the second after the latest stamp, whichever is later. So a file comes after all files that its writer
+saw, even within one second, on a machine whose clock is slow, and after a clock was set back. Only files that were
+written at the same moment, without seeing each other, may have the same stamp.
 """
 
 import re
@@ -23,19 +23,19 @@ def as_stamp(moment: datetime) -> str:
 
 
 def read_stamp(text: str) -> datetime | None:
-    """The time of a stamp, in UTC; None where the text is no stamp."""
+    """The time of a stamp, in UTC; None where the text is not a stamp."""
     if not _STAMP.fullmatch(text):
         return None
     try:
         return datetime.strptime(text, _FORM).replace(tzinfo=UTC)
-    except ValueError:  # the month 13
+    except ValueError:  # for example month 13
         return None
 
 
 def next_stamp(stamps: Iterable[str], now: datetime) -> str:
-    """The stamp of a file that is written now, in UTC, where there are files of these stamps.
+    """The stamp for a file that is written now (UTC) next to files with these stamps.
 
-    Texts that are no stamps do not count. Raises UsageError where no later stamp can be written.
+    Texts that are not stamps are ignored. Raises UsageError where no later stamp can be written.
     """
     known = [moment for text in stamps if (moment := read_stamp(text)) is not None]
     clock = now.replace(tzinfo=UTC)

@@ -1,4 +1,4 @@
-"""How a course stands, by the last change of each of its figures."""
+"""The state of a course, by the last change of each of its figures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from rtrun.archive.courses import Course
 from rtrun.archive.trends import Trend
 
-LEAST_BOOTS = 6  # of a course whose changes can be seen
+LEAST_BOOTS = 6  # that a course needs to show changes
 SAID = {
     "WORSE": "got worse",
     "BETTER": "got better",
@@ -15,12 +15,12 @@ SAID = {
     "STEADY": "stayed as they were",
     "NEW": f"are new: a change is seen from {LEAST_BOOTS} boots on",
 }
-"""The words of states, the gravest first, and what they say in a sentence."""
+"""The words for states, gravest first, and their meaning in a sentence."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CourseState:
-    """The judgement of a course: `word`, of which figures, the class of its style, and its mark."""
+    """The judgement of a course: `word`, the figures it is about, the class of its style, and its mark."""
 
     word: str
     style: str
@@ -35,7 +35,7 @@ class CourseState:
 
 
 def state_of(course: Course, trends: Sequence[Trend]) -> CourseState:
-    """WORSE where a figure's last change made it so; NEW where there are too few boots for any change to be seen."""
+    """WORSE where a figure's last change made it so; NEW where there are too few boots to see a change."""
     last = {trend.figure: trend for trend in trends}
     worse = tuple(figure for figure, trend in last.items() if trend.is_worse)
     if worse and all(last[figure].known for figure in worse):

@@ -1,8 +1,8 @@
-"""Where an archive is kept: a folder, or any place that fsspec reaches by an address as s3://bucket/archive.
+"""Where an archive is stored: a folder, or any place that fsspec reaches by an address such as s3://bucket/archive.
 
-A file is written whole or not at all, and no table's file again: on a disk it is renamed into place, and an object
-store shows an object when all of it has arrived. A half Parquet file can still come from elsewhere (a copy that was cut
-off, a file system after a power cut); it does not count as there, and is written anew.
+A file is written completely or not at all, and a file of a table is never rewritten: on a disk it is renamed into
+place, and an object store shows an object once all of it has arrived. A partial Parquet file can still come from
+elsewhere (an interrupted copy, a file system after a power cut). It counts as missing, and is written again.
 """
 
 import contextlib
@@ -23,11 +23,11 @@ from rtfiles.untrusted import text
 SCHEMA = 2
 MARKER = "archive.json"
 _REMOTE_AT_ONCE = 32
-_MAGIC = b"PAR1"  # the first and the last bytes of a whole Parquet file
+_MAGIC = b"PAR1"  # the first and the last bytes of a complete Parquet file
 
 
 class _Marker(Config):
-    """archive.json, by which an archive is known."""
+    """archive.json, which marks an archive."""
 
     kind: Literal["rtrun archive"]
     schema_number: int = Field(alias="schema", ge=1)
@@ -48,7 +48,7 @@ class Store:
 
     @property
     def at_once(self) -> int:
-        """How many files to open at one time: those of an object store are waited for, others take the CPU."""
+        """How many files to open at a time: an object store makes them wait, otherwise they need the CPU."""
         return (os.cpu_count() or 1) if self.is_local else _REMOTE_AT_ONCE
 
     def locate(self, name: str) -> str:
@@ -62,7 +62,7 @@ def _protocols(file_system: Any) -> tuple[str, ...]:
 
 
 def open_archive(address: str) -> Store:
-    """The archive at an address. Raises UsageError when there is none, or a newer version has written it."""
+    """Open the archive at an address. Raises UsageError when there is none, or when a newer version wrote it."""
     store = _reach(address)
     if _schema_of(store) is None:
         raise UsageError(
@@ -72,16 +72,16 @@ def open_archive(address: str) -> Store:
 
 
 def make_archive(address: str) -> Store:
-    """The archive at an address, to write into: a new one where nothing is, and one of this schema.
+    """Open the archive at an address for writing: a new one where nothing is, or one of this schema.
 
-    Raises UsageError when something else is there, or a newer version has written it.
+    Raises UsageError when something else is there, or when a newer version wrote it.
     """
     store = _reach(address)
     schema = _schema_of(store)
     if schema is None:
         with _naming(store, "cannot be listed"):
             names = store.file_system.ls(store.root, detail=False) if store.file_system.exists(store.root) else []
-        # The marker of another writer is renamed into place, and files follow it.
+        # Another writer's marker is renamed into place, and its files follow.
         is_foreign = any(not name.rpartition("/")[2].lstrip(".").startswith(MARKER) for name in names)
         if is_foreign and _schema_of(store) is None:
             raise UsageError(
@@ -98,20 +98,20 @@ def _reach(address: str) -> Store:
     _check_utf8(address)
     try:
         file_system, root = fsspec.core.url_to_fs(address)
-    except (ImportError, ValueError) as error:  # no package for this protocol, or no such protocol
+    except (ImportError, ValueError) as error:  # no package for this protocol, or an unknown protocol
         raise UsageError(f"{address}: {error}") from error
     return Store(address=address, file_system=file_system, root=root.rstrip("/"))
 
 
 def _schema_of(store: Store) -> int | None:
-    """The schema that the archive is written in; None where there is none."""
+    """The schema that the archive is written in; None without an archive."""
     with _naming(store, "cannot be read"):
         if not store.file_system.exists(store.locate(MARKER)):
             return None
         content = store.file_system.cat_file(store.locate(MARKER))
     try:
         marker = _Marker.model_validate_json(content)
-    except ValidationError:  # cut off while it was written: it does not count as there
+    except ValidationError:  # its writing was interrupted: it counts as missing
         return None
     if marker.schema_number > SCHEMA:
         raise UsageError(
@@ -122,7 +122,7 @@ def _schema_of(store: Store) -> int | None:
 
 
 def is_whole(store: Store, path: str) -> bool:
-    """Whether a Parquet file is there from its first to its last byte."""
+    """Whether a Parquet file is complete, from its first to its last byte."""
     with _naming(store, "cannot be read"):
         if not store.file_system.exists(path):
             return False
@@ -135,11 +135,11 @@ def is_whole(store: Store, path: str) -> bool:
 
 
 def write_file(store: Store, name: str, content: bytes) -> None:
-    """Write a file whole or not at all. Raises InfrastructureError naming it."""
+    """Write a file completely or not at all. Raises InfrastructureError naming it."""
     path = store.locate(name)
     with _naming(store, f"{name} cannot be written"):
         if store.is_local:
-            ownership.resolve(Path(path))  # no folder is made behind a link of another user
+            ownership.resolve(Path(path))  # make no folder behind another user's link
         store.file_system.makedirs(path.rpartition("/")[0], exist_ok=True)
         if store.is_local:
             atomic.write_bytes(Path(path), content)
@@ -158,7 +158,7 @@ def find_files(store: Store, folder: str) -> list[str]:
 
 
 def list_names(store: Store, folder: str) -> list[str]:
-    """The names of the files below a folder of the archive, hidden ones left out. Raises InfrastructureError."""
+    """The names of the files below a folder of the archive, without hidden ones. Raises InfrastructureError."""
     with _naming(store, "cannot be listed"):
         store.file_system.invalidate_cache()  # others may have written since this process listed the folder
         names = [str(path).rpartition("/")[2] for path in store.file_system.find(store.locate(folder))]
@@ -166,7 +166,7 @@ def list_names(store: Store, folder: str) -> list[str]:
 
 
 def read_small_files(store: Store, folder: str, ends: str, *, most: int, max_bytes: int) -> list[tuple[str, bytes]]:
-    """Paths and contents of the files below a folder whose names end so, ascending.
+    """Paths and contents of the files below a folder whose names end with `ends`, ascending.
 
     Raises UsageError where there are more than `most`, or one has more than `max_bytes`; InfrastructureError.
     """
@@ -181,17 +181,17 @@ def read_small_files(store: Store, folder: str, ends: str, *, most: int, max_byt
 
 
 def remove_files(store: Store, paths: Sequence[str]) -> None:
-    """Remove files; one that another call has removed is no error. Raises InfrastructureError."""
+    """Remove files; a file that another call removed is no error. Raises InfrastructureError."""
     with _naming(store, "a file cannot be removed"), contextlib.suppress(FileNotFoundError):
         if not store.is_local and paths:
-            store.file_system.rm(list(paths))  # an object store takes a thousand with one request
+            store.file_system.rm(list(paths))  # an object store removes a thousand with one request
         elif store.is_local:
             for path in paths:
                 (ownership.resolve(Path(path).parent) / Path(path).name).unlink(missing_ok=True)
 
 
 def _check_utf8(path: str) -> None:
-    """Raise UsageError for a path that pyarrow cannot be given."""
+    """Raise UsageError for a path that pyarrow cannot take."""
     try:
         text(path)
     except ValueError as error:
@@ -205,6 +205,6 @@ def _naming(store: Store, what: str) -> Iterator[None]:
         yield
     except (UsageError, InfrastructureError):
         raise
-    except Exception as error:  # each object store has exceptions of its own
+    except Exception as error:  # each object store has its own exceptions
         reason = (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__
         raise InfrastructureError(f"{store.address}: {what}: {' '.join(reason.split())}") from error

@@ -1,7 +1,7 @@
-"""The tables of an archive: which columns they have, and the rows of one run (docs/archive.md).
+"""The tables of an archive: their columns, and the rows of one run (docs/archive.md).
 
-A row of `runs` has all circumstances of a run. A row of `histograms` is a bin of a series by which an output may be
-judged: of a cyclic timer there are two. A row of `samples` is one of its values.
+A row of `runs` has all circumstances of a run. A row of `histograms` is a bin of a series that an output may be judged
+by; a cyclic timer has two such series. A row of `samples` is one of its values.
 """
 
 import hashlib
@@ -66,7 +66,7 @@ SCHEMAS = {"histograms": HISTOGRAMS, "samples": SAMPLES, "runs": RUNS}
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Origin:
-    """What a run.json does not hold: the commit and the image under test, and package versions by package name."""
+    """What run.json does not have: the commit and the image under test, and package versions by package name."""
 
     commit: str | None = None
     image: str | None = None
@@ -74,12 +74,12 @@ class Origin:
 
 
 def key_of(folder: Path) -> str:
-    """The name of a run in every archive: the SHA-256 of its run.json, which has the SHA-256 of its files."""
+    """The name of a run in every archive: the SHA-256 of its run.json, which contains the SHA-256 of its files."""
     return hashlib.sha256((folder / FILE).read_bytes()).hexdigest()
 
 
 def file_of(table: str, name: str) -> str:
-    """The path of a file of a table within the archive."""
+    """The path of a table's file within the archive."""
     return f"{table}/{name}.parquet"
 
 
@@ -140,9 +140,9 @@ def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
 def histogram_table(key: str, judged: Iterable[Series]) -> Table:
     """The bins of a run's outputs, ascending: samples in steps of their clock, logs in their own bins.
 
-    Beside the bins stands a row without ``value_ns`` that counts what never came, and for values that are known by
-    number only, a row without ``bin_ns``, whose ``value_ns`` none of them is below. Raises UsageError where these
-    are more than BINS_MAX.
+    Two kinds of rows are added: a row without ``value_ns`` counts what never came; a row without ``bin_ns`` counts
+    values that are known by number only, and its ``value_ns`` is a lower bound of them. Raises UsageError where there
+    are more than BINS_MAX rows.
     """
     parts = [_bins(key, series) for series in judged]
     if (rows := sum(part.num_rows for part in parts)) > BINS_MAX:
@@ -170,7 +170,7 @@ def _bins(key: str, series: Series) -> Table:
 
 
 def sample_table(key: str, judged: Iterable[Series]) -> Table:
-    """The values of a run's outputs with the loop of each, the start-up left out; none of what has no samples."""
+    """The values of a run's outputs, each with its loop, without the start-up; nothing for outputs without samples."""
     parts = [
         pyarrow.Table.from_arrays(
             [*_names(key, series, series.values_ns.size), series.index, series.values_ns], schema=SAMPLES

@@ -13,19 +13,19 @@ from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, reading
 from rtrun.archive.notes import AcceptNote, KnownNote
 
 NOTHING_KNOWN = "nothing that the archive knows"
-"""What changed with a figure, where nothing else did."""
-_SIGNIFICANT = 0.01  # of a reading that differs between two levels
+"""The suspected cause where nothing else changed."""
+_SIGNIFICANT = 0.01  # for a reading that differs between two levels
 _UNITS = {"temperature_max_mc": (1000, "°C"), "frequency_max_khz": (1000, "MHz"), "load_1min_max": (1, "")}
 _NAMES = {"temperature_max_mc": "temperature", "frequency_max_khz": "CPU frequency", "load_1min_max": "load"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trend:
-    """A change of one figure of one course, of its runs that know the figure.
+    """A change of one figure of one course, over the runs that know the figure.
 
-    `last_before` and `first_after` are the starts of the boots that it lies between, `earliest` and `latest` those of
-    the boots that the new level may have begun with. `circumstances` name what differs between the two sides of that
-    interval, as "kernel: 6.1 -> 6.6".
+    The change lies between the boots that start at `last_before` and `first_after`. The new level may begin with any
+    boot from `earliest` to `latest`. `circumstances` name what differs between the two sides of that interval, such as
+    "kernel: 6.1 -> 6.6".
     """
 
     course: Course
@@ -40,23 +40,23 @@ class Trend:
 
     @property
     def is_worse(self) -> bool:
-        """Whether the figure rose, and nobody has accepted that."""
+        """Whether the figure rose and nobody accepted the new level."""
         return self.change.after > self.change.before and self.accepted is None
 
     @property
     def known(self) -> KnownNote | None:
-        """The note about it once it had begun; None where it is not known, or did not get worse."""
+        """The note, written after the change began, that calls it known; None without one, or if nothing got worse."""
         begun = self.first_after or datetime.max
         return next((note for note in self.course.known if self.is_worse and begun <= note.at), None)
 
     @property
     def word(self) -> str:
-        """What to call it."""
+        """The word for the change."""
         return "accepted" if self.accepted else "WORSE" if self.is_worse else "better"
 
 
 def trends(courses: Sequence[Course], *, confidence: float) -> list[Trend]:
-    """Every change of every course; a course without any shows one with the chance 1 - confidence at most."""
+    """Every change of every course; the chance that a course without changes shows one is at most 1 - confidence."""
     shown: list[Trend] = []
     for course in courses:
         known = [(figure, part) for figure in get_args(Figure) if (part := course.knowing(figure))]
@@ -88,15 +88,16 @@ def _trend(course: Course, figure: Figure, change: ChangePoint, begin: int, end:
         earliest=starts[change.earliest],
         latest=starts[min(change.latest, len(boots) - 1)],
         circumstances=(*changed_facts(before, after), *_changed_readings(before, after)),
-        # What came before the accepted time is accepted with it, not what comes later.
+        # Whatever came before the accepted time is accepted with it; what comes later is not.
         accepted=note if rose and note and last and last < note.begin else None,
     )
 
 
 def changed_facts(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Sequence[ArchivedRun]]) -> list[str]:
-    """Facts of the last boot before that are others in the first boot after.
+    """Facts whose value differs between the last boot before and the first boot after the change.
 
-    Of one whose values come and go within a level (two kernels that are measured in turn), those that the levels have.
+    If the values of a fact come and go within a level (two kernels measured in turn), the values of the levels are
+    compared.
     """
     names = dict.fromkeys(name for boot in (*before[-1:], *after[:1]) for run in boot for name in run.facts)
     changed = []
@@ -113,7 +114,7 @@ def changed_facts(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Seque
 
 
 def _comes_and_goes(values: Sequence[str]) -> bool:
-    """Whether a value is there again after another one."""
+    """Whether a value recurs after another one."""
     return len([*groupby(values)]) > len({*values})
 
 

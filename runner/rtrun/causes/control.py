@@ -1,4 +1,4 @@
-"""The time before an outlier in windows of its length, in which nothing was late: who had a CPU then, and how long."""
+"""Windows before an outlier, of its length, in which nothing was late: who had each CPU, and for how long."""
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ from rtrun.causes.events import Event
 from rtrun.causes.timeline import Timeline
 
 WINDOWS_MAX = 200
-# Windows are looked for in so long a time, and for longer until there are so many.
+# Windows are searched for in this much time, and further back until there are this many.
 CONTROL_NS, WINDOWS_WANTED = 50_000_000, 20
 
 
@@ -20,27 +20,27 @@ class Windows:
     times_ns: Mapping[int, Sequence[Mapping[str, int]]] = field(default_factory=dict)
 
     def mean_ns(self, cpu: int | None, name: str) -> int:
-        """The mean time that somebody had a CPU in a window."""
+        """The mean time per window that a thread or interrupt of this name had a CPU."""
         times = self.times_ns.get(-1 if cpu is None else cpu, ())
         return sum(one.get(name, 0) for one in times) // self.count if self.count else 0
 
     def with_at_least(self, cpu: int | None, name: str, least_ns: int) -> int:
-        """The number of windows in which somebody had a CPU for at least a time."""
+        """The number of windows in which a thread or interrupt of this name had a CPU for at least `least_ns`."""
         times = self.times_ns.get(-1 if cpu is None else cpu, ())
         return sum(one.get(name, 0) >= max(1, least_ns) for one in times)
 
 
 def control_ns(length_ns: int) -> int:
-    """How much time before an outlier is looked at, for windows of a length."""
+    """How far before an outlier windows of a length are searched for."""
     return max(min(WINDOWS_MAX * length_ns, CONTROL_NS), WINDOWS_WANTED * length_ns)
 
 
 def windows_before(
     timeline: Timeline, events: Sequence[Event], *, begin_ns: int, length_ns: int, late: Sequence[tuple[int, int]]
 ) -> Windows:
-    """Windows of a length that end at `begin_ns` or before, at most `WINDOWS_MAX`.
+    """At most `WINDOWS_MAX` windows of a length that end at `begin_ns` or before.
 
-    Left out are windows that meet one of `late`, and those in which no CPU had an event: recording was paused.
+    Windows that overlap one of `late` are left out, and windows without any event: recording was paused.
     """
     times: dict[int, list[Mapping[str, int]]] = {cpu: [] for cpu in timeline.cpus}
     count, end_ns = 0, begin_ns

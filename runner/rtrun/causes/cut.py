@@ -1,9 +1,9 @@
 """The time between when a thread should have run and when it did, cut into what took it.
 
-The cut goes backwards. It begins where the measured thread has its value. While the thread ran, the time is its own, or
-that of an interrupt within it. While it waited for a CPU, the time is that of whoever had the CPU. While it slept, the
-time is that of what woke it in the end: a timer, whose interrupt may have been late; an interrupt; or a thread, which
-is followed in the same way, also into another process.
+The cut goes backwards from the moment at which the measured thread has its value. Time in which the thread ran counts
+for the thread, or for an interrupt within it. Time in which it waited for a CPU counts for whoever had the CPU. Time in
+which it slept counts for whatever woke it: a timer, whose interrupt may have been late; an interrupt; or a thread,
+which is then followed in the same way, also into another process.
 """
 
 from bisect import bisect_left, bisect_right
@@ -17,7 +17,7 @@ from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.timeline import Span, State, StateChange, Timeline, Waker, Why
 from rtrun.causes.waits import GIVEN_THE_CPU, CpuWaits, of_interrupt
 
-# From a thread it is gone back to the one that woke it, at most so many times: in a trace they may form a circle.
+# The walk goes back at most this many steps: threads that wake one another may form a circle in a trace.
 STEPS_MAX = 10_000
 TIMER = "the timer's own"
 BEFORE = "before the trace begins"
@@ -35,10 +35,10 @@ def cut(
     callbacks: Sequence[Callback] = (),
     used_up: bool = False,
 ) -> tuple[Part, ...]:
-    """Cut the time from `due_ns` to `at_ns` into parts in the order of time, which add up to it.
+    """Cut the time from `due_ns` to `at_ns` into parts, earliest first, that add up to it.
 
-    `pid` is the thread that ran at `at_ns`, `own` are the threads of the measured program, `callbacks` what that thread
-    did before, one after another. `used_up`: the quota of its control group was, in that run.
+    `pid` is the thread that ran at `at_ns`, `own` are the threads of the measured program. `callbacks` are the earlier
+    callbacks of that thread, in order. `used_up`: the program's control group used up its quota during the run.
     """
     parts: list[Part] = []
     end_ns = at_ns
@@ -58,9 +58,9 @@ def cut(
 
 
 def _not_interrupted(timeline: Timeline, part: Part) -> Iterator[Part]:
-    """A part in which another thread of the program had the CPU, cut where a timer's interrupt did not come.
+    """Cut a part in which another thread of the program had the CPU, where a timer's interrupt was late.
 
-    Interrupts were off, or the CPU was not run: the thread may be innocent.
+    Interrupts were off, or the CPU itself did not run: the thread may be innocent.
     """
     at_ns = part.begin_ns
     if part.cause.kind is Kind.OTHER_THREAD and part.cpu is not None:
@@ -79,9 +79,10 @@ def _not_interrupted(timeline: Timeline, part: Part) -> Iterator[Part]:
 
 
 def _slowed(timeline: Timeline, part: Part) -> Iterator[Part]:
-    """A part in which a thread of the program ran, without what it took longer than at the CPU's highest frequency.
+    """Split off the time that a thread of the program lost because its CPU ran below its highest frequency.
 
-    The highest one is that of the trace. The time is an upper bound: what waits for memory does not run faster.
+    That is the highest frequency in the trace. The time is an upper bound: code that waits for memory does not run
+    faster at a higher frequency.
     """
     changes = timeline.frequencies.get(-1 if part.cpu is None else part.cpu, ())
     if part.cause.kind not in (Kind.PROGRAM, Kind.OTHER_THREAD) or not changes:
@@ -102,9 +103,9 @@ def _slowed(timeline: Timeline, part: Part) -> Iterator[Part]:
 
 
 def _in_callbacks(timeline: Timeline, pid: int, callbacks: Sequence[Callback], part: Part) -> Iterator[Part]:
-    """A part for which nobody else is named, cut by what the measured thread was about: the value waited for that.
+    """Cut a part that names nobody else by the earlier callbacks of the measured thread: the value waited for them.
 
-    Where the end of a callback was not seen, only what its thread ran until its next one may be of it.
+    If the end of a callback was not seen, only the time that its thread ran until its next callback may belong to it.
     """
     at_ns = part.begin_ns
     for callback, following in pairwise((*callbacks, None)) if part.cause.kind in NAMELESS else ():
@@ -129,7 +130,7 @@ def _unexplained(begin_ns: int, end_ns: int, name: str = "") -> Part:
 
 
 def _of(pid: int, state: State, parts: Iterable[Part]) -> Iterator[Part]:
-    """The parts, which are of a thread."""
+    """The parts, marked with a thread and its state."""
     return (replace(part, pid=pid, state=state) for part in parts)
 
 
@@ -193,8 +194,8 @@ class _Walk:
     def _awaited(self, pid: int, waker: Waker, at_ns: int) -> int | None:
         """The thread of the program that should have woken this one, but waited for a CPU when something else did.
 
-        That is a timeout, a timer that expires after the value was due, or a signal that stops the program. Who woke
-        the thread before hands work over to it.
+        That something is a timeout (a timer that expires after the value was due) or a signal that stops the program.
+        Candidates are the threads that woke this one before: they hand work over to it.
         """
         expires_ns = waker.expiry.soft_ns if waker.expiry else None
         if not waker.stops and (expires_ns is None or expires_ns <= self.due_ns):
@@ -208,15 +209,15 @@ class _Walk:
         return None
 
     def _is_held_up(self, slept: StateChange | None, waker: Waker) -> bool:
-        """Whether a thread waits for another that keeps something, or itself, rather than for something to do."""
+        """Whether a thread waited for what another one holds, or was held itself, rather than waiting for work."""
         if waker.held is not Why.UNKNOWN:
             return True
         if slept is None:
             return False
         if slept.why is not Why.UNKNOWN:
             return True
-        # Without events of futexes a lock shows by two signs: the thread had begun the work of this period, and another
-        # program woke it.
+        # Without futex events two signs show a lock: the thread had begun the work of this period, and another program
+        # woke it.
         return slept.at_ns > self.due_ns and waker.pid not in self.own and self.pid in self.own
 
     def _ran(self, pid: int, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Part]:
@@ -229,7 +230,7 @@ class _Walk:
                 yield from self._with_faults(span, cpu, self.waits.cause(kind, pid))
 
     def _with_faults(self, span: Span, cpu: int, cause: Cause) -> Iterator[Part]:
-        """The time that a thread ran, latest first, without that between page faults that follow each other."""
+        """The time that a thread ran, latest first; time between close page faults counts for the faults."""
         times = self.timeline.faults_ns.get(cause.pid or 0, ())
         within = times[bisect_left(times, span.begin_ns) : bisect_right(times, span.end_ns)]
         end_ns = span.end_ns
@@ -274,7 +275,10 @@ class _Walk:
             yield Part(begin_ns=asleep_ns, end_ns=waker.began_ns, cause=before, cpu=waker.cpu)
 
     def _kept(self, cause: Cause, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
-        """The time for which another thread kept this one, latest first, without that in which a limit kept it back."""
+        """The time for which another thread kept this one waiting, latest first.
+
+        Time in which a limit throttled that other thread counts for the limit.
+        """
         changes = self.timeline.threads.get(waker.pid, ())
         for place in range(self.timeline.place(waker.pid, at_ns), -1, -1):
             change, until_ns = changes[place], changes[place + 1].at_ns if place + 1 < len(changes) else at_ns
@@ -292,9 +296,10 @@ class _Walk:
         yield Part(begin_ns=asleep_ns, end_ns=at_ns, cause=cause, cpu=waker.cpu)
 
     def _held(self, pid: int, slept: StateChange | None, waker: Waker, asleep_ns: int, at_ns: int) -> Iterator[Part]:
-        """The time for which a thread was stopped or frozen, latest first: by whom it was stopped, or let go on.
+        """The time for which a thread was stopped or frozen, latest first.
 
-        These need not be one: who stopped it is known from the signal since it last fell asleep before.
+        The cause is the thread that sent the stopping signal, if one came after this thread's previous sleep began.
+        Otherwise it is the thread that let this one go on. The two may differ.
         """
         kind, by = (Kind.FROZEN if waker.held is Why.FROZEN else Kind.LET_GO_ON), (waker.pid, waker.name)
         if kind is Kind.LET_GO_ON and slept is not None:

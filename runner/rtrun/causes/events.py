@@ -1,4 +1,4 @@
-"""Events of the kernel's trace, as far as causes are read from them.
+"""The events of the kernel's trace from which causes are read.
 
 Named tuples, because a trace has hundreds of thousands of events and a dataclass takes five times as long to make.
 Times are nanoseconds on the clock of the trace. Priorities are the kernel's (`prio`): below 0 deadline, 0 to 98 real
@@ -18,7 +18,7 @@ class Context(StrEnum):
 
 
 class Current(NamedTuple):
-    """The thread of the first line that a CPU has in the trace, or has after a switch to its idle thread."""
+    """The thread of a CPU's first line in the trace, or of its first line after a switch to the idle thread."""
 
     at_ns: int
     cpu: int
@@ -27,7 +27,7 @@ class Current(NamedTuple):
 
 
 class Switch(NamedTuple):
-    """sched_switch: `state` is that of the thread that goes; one that begins with R is still runnable."""
+    """sched_switch: `state` is that of the thread that leaves the CPU, still runnable if it begins with R."""
 
     at_ns: int
     cpu: int
@@ -41,7 +41,7 @@ class Switch(NamedTuple):
 
 
 class Wake(NamedTuple):
-    """sched_waking, or sched_wakeup (`is_done`), which alone has the CPU that was chosen; sched_wakeup_new as well."""
+    """sched_waking; or, with `is_done`, sched_wakeup or sched_wakeup_new: only these have the CPU that was chosen."""
 
     at_ns: int
     cpu: int
@@ -62,7 +62,7 @@ class Migration(NamedTuple):
 
 
 class Interrupt(NamedTuple):
-    """The begin or the end of an interrupt handler or a softirq; an end may not know its name."""
+    """The begin or the end of an interrupt handler or a softirq; an end may have no name."""
 
     at_ns: int
     cpu: int
@@ -131,7 +131,7 @@ class Console(NamedTuple):
 
 
 class Signal(NamedTuple):
-    """signal_generate: a thread sends a signal to another one, of a program to its first."""
+    """signal_generate: a thread sends a signal to another one; a signal for a program goes to its first thread."""
 
     at_ns: int
     cpu: int
@@ -149,7 +149,7 @@ class Thaw(NamedTuple):
 
 
 class Frequency(NamedTuple):
-    """cpu_frequency: from now on `of_cpu`, which need not be the CPU that says so, runs at a frequency."""
+    """cpu_frequency: from now on `of_cpu` runs at this frequency; another CPU may have recorded it."""
 
     at_ns: int
     cpu: int
@@ -158,9 +158,9 @@ class Frequency(NamedTuple):
 
 
 class Callback(NamedTuple):
-    """callback_end: a callback has ended that took so long. callback_begin: one has begun whose end was not seen.
+    """callback_end: a callback ended after `took_ns`. callback_begin: a callback began, and its end was not seen.
 
-    The second has no `took_ns`. Of nodes that were observed, not of the kernel: flows/turns.py.
+    The second has no `took_ns`. Both come from observed nodes, not from the kernel: flows/turns.py.
     """
 
     at_ns: int

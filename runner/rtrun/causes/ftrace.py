@@ -1,8 +1,8 @@
 """The reader of the kernel's trace text (tracefs `trace` and `snapshot`, Documentation/trace/ftrace.rst).
 
 Lines that are not understood are counted and left out: kernels differ, and a person may have enabled more events. The
-file may have any size: it is read in pieces, those before a moment are passed over, and the last `EVENTS_MAX` events
-are kept.
+file may have any size: it is read in pieces, pieces before the wanted time are skipped, and the last `EVENTS_MAX`
+events are kept.
 """
 
 import re
@@ -38,12 +38,12 @@ from rtrun.causes.events import (
     Wake,
 )
 
-# So many events are in the buffers of 16 CPUs, of 512 KiB each.
+# The buffers of 16 CPUs, of 512 KiB each, hold this many events.
 EVENTS_MAX = 200_000
-# So many timers are kept that were started before the first event that is read.
+# At most this many timers are kept that were started before the first event that is read.
 TIMERS_MAX = 10_000
 PIECE_BYTES = 1 << 16
-# Arguments of switches and wake-ups that are kept as they were read, since a trace repeats them, and their length.
+# How many parsed arguments of switches and wake-ups are cached, since a trace repeats them; and how long they may be.
 REPEATED_MAX, ARGUMENTS_MAX = 1024, 512
 CALLBACK_CHARACTERS_MAX = 200
 # trace-cmd.dat(5): how a file of trace-cmd begins.
@@ -74,7 +74,7 @@ _TIMER_START = re.compile(
 _TIMER_EXPIRY = re.compile(r"hrtimer=(\w{1,32}) function=(\S{1,128}) now=(\d{1,19})\b", re.ASCII)
 _FREQUENCY = re.compile(r"state=(\d{1,10}) cpu_id=(\d{1,4})\b", re.ASCII)
 _SIGNAL = re.compile(r"sig=(\d{1,3}) errno=-?\d{1,10} code=-?\d{1,10} comm=.{0,64}? pid=(\d{1,10}) grp=", re.ASCII)
-# What the timer of a thread does that sleeps until then (hrtimer_init_sleeper).
+# The function of a timer that wakes its sleeping thread (hrtimer_init_sleeper).
 _WAKES_ITS_THREAD = "hrtimer_wakeup"
 _CALLBACK = re.compile(rf"(?:took_ns=(\d{{1,18}}) )?name=(.{{1,{CALLBACK_CHARACTERS_MAX}}})", re.ASCII)
 _FUTEX = re.compile(r".{0,64}\bop: (?:0x)?([0-9a-f]{1,8})\b", re.ASCII)
@@ -115,7 +115,7 @@ class _NotInOrder(Exception):
 
 
 def read_trace(path: Path, *, from_ns: int = 0, until_ns: int) -> Trace:
-    """Read a trace between two moments of its clock; some events from before the first may be there, too.
+    """Read a trace between two moments of its clock; some earlier events may be included.
 
     Raises UsageError for a file of trace-cmd, or one that cannot be read.
     """
@@ -143,7 +143,7 @@ def refuse_trace_cmd(path: Path) -> None:
 
 
 def read_ends(path: Path) -> tuple[int, int] | None:
-    """The first and the last time in a file, in ns; None where there is none as the kernel prints it."""
+    """The first and the last time in a file, in ns; None if no line has a time as the kernel prints it."""
     with path.open("rb") as stream:
         size = stream.seek(0, SEEK_END)
         ends = []
@@ -175,7 +175,7 @@ def _read(stream: BinaryIO, from_ns: int, until_ns: int) -> Trace:
 
 
 def _lines(stream: BinaryIO, from_ns: int, started: dict[str, TimerStart]) -> Iterator[str]:
-    """Yield the lines of the pieces of a file that are not wholly before a moment; of the others keep timer starts.
+    """Yield the lines of a file, without the pieces that end before `from_ns`; keep the timer starts in those.
 
     A line that is longer than a piece is cut. Raises _NotInOrder.
     """
@@ -267,12 +267,12 @@ def parse(lines: Iterable[str]) -> Iterator[Event | None]:
 
 
 _Head = tuple[int, int, int, str | None, str]
-"""What stands before the arguments of an event: time, CPU, thread, flags, name of the event."""
+"""What precedes the arguments of an event: time, CPU, thread, flags, name of the event."""
 
 
 @lru_cache(maxsize=256)
 def _context(flags: str | None) -> Context:
-    """The place of the letter differs between kernels, the letters do not. H is an interrupt within a softirq."""
+    """The position of the letter differs between kernels, the letters do not. H is an interrupt within a softirq."""
     letters = set(flags or "")
     if letters & set("hHzZ"):
         return Context.HARD

@@ -1,4 +1,4 @@
-"""Parts of the time that a control group's limit took, which a trace alone cannot tell from the kernel's own."""
+"""Parts of the time that a control group's limit took: a trace alone cannot tell that from the kernel's own limit."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -9,14 +9,14 @@ from rtrun.causes.timeline import State
 from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.control_groups import KERNEL_RUNTIME_US, ControlGroup
 
-# No CPU needs so long to leave an idle state.
+# No CPU takes this long to leave an idle state.
 IDLE_EXIT_MAX_NS = 1_000_000
 
 
 def with_groups(parts: Sequence[Part], record: RunRecord, prios: Mapping[int, int]) -> tuple[Part, ...]:
-    """Parts, of which those that a limit took name the control group and its limit.
+    """The same parts; those that a limit took now name the control group and its limit.
 
-    Throttled is a real-time thread by its group where that has a limit below the kernel's, any other one where cpu.stat
+    A group throttles a real-time thread if the group's limit is below the kernel's, and any other thread if cpu.stat
     counted it. `prios` are the priorities of threads.
     """
     rt_group, quota_group = _rt_limited(record), _throttled(record)
@@ -47,13 +47,13 @@ def _with_group(part: Part, prio: int | None, rt_group: str, quota_group: str) -
 
 
 def _groups(record: RunRecord) -> list[ControlGroup]:
-    """Those of all programs, each once."""
+    """The control groups of all programs, each once."""
     groups = {(one.version, one.path): one for program in record.programs for one in program.control_groups}
     return list(groups.values())
 
 
 def _kernel_us(record: RunRecord) -> int:
-    """What the kernel leaves to real-time threads of a second, as the sampler saw it."""
+    """How many microseconds of a second the kernel leaves to real-time threads, as the sampler saw it; -1: all."""
     seen = record.in_effect.sched_rt_runtime_us
     return KERNEL_RUNTIME_US if not seen else -1 if -1 in seen else max(seen)
 

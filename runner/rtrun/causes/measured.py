@@ -24,9 +24,9 @@ class Measured:
 
 
 def read_measured(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Measured]:
-    """Yield the outputs of a run that have samples with values; `of` is their series, None: that of the run's traces.
+    """Yield the outputs of a run that have samples with values; `of` is the series, None: that of the run's traces.
 
-    Raises UsageError as `read_samples` does, and where the suite measures no such thing.
+    Raises UsageError as `read_samples` does, and if the suite does not measure that series.
     """
     kind = kind_of(record.suite)
     if kind is None:
@@ -44,5 +44,5 @@ def read_measured(folder: Path, record: RunRecord, of: Measure | None = None) ->
 
 
 def traced_series(suite: str, parameters: Mapping[str, Value]) -> Measure:
-    """The series that the limit of a trace is held against: of the cyclic timer what it was asked for."""
+    """The series that is compared with the limit of a trace; for the cyclic timer, the one that was asked for."""
     return judged(measures(suite), JITTER if parameters.get(SERIES) == JITTER else None)

@@ -26,9 +26,9 @@ from rtrun.plan.suites import kind_of, suite
 from rtrun.results.output import NON_MEASURING_THREADS, Record
 from rtrun.results.record import RunRecord, check_file
 
-# What is read after an outlier: the thread that measured it must be seen to go on.
+# How much is read after an outlier: the trace must show that the measuring thread went on.
 AFTER_NS = 10_000_000
-# What is read before one at least: threads that sleep for longer are seen to be woken, but not to fall asleep.
+# How much is read before an outlier at least: of a thread that sleeps longer only the wake-up is seen.
 BEFORE_NS = 50_000_000
 AROUND = 4
 HEAD_BYTES_MAX = 8192
@@ -45,15 +45,15 @@ NOT_RECORDED = (
 
 EMPTY = "the trace is empty: the kernel recorded no event, or what was recorded was gone when it was copied"
 NO_TIMES = "the trace has no line with a time in seconds: another clock (trace_clock counter or x86-tsc), or no trace"
-# Recording is not paused, and a buffer does not hold events, for so long.
+# Recording never pauses this long, and no buffer reaches back this far.
 ANOTHER_CLOCK_NS = 3600 * 10**9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outlier:
-    """A value above the limit of the run, at a moment of the clock of the samples, and the file that has its trace.
+    """A value above the limit of the run, its time on the clock of the samples, and the file that has its trace.
 
-    `tid` is the thread that received it, where the trace names one.
+    `tid` is the thread that received it, if the trace names one.
     """
 
     run: str
@@ -73,13 +73,13 @@ class Outlier:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Explained:
-    """An outlier, the parts that its lateness consists of, and what happened in as long a time when nothing was late.
+    """An outlier, the parts of its lateness, and what happened in windows of that length when nothing was late.
 
-    `steps` are those of a message, in nanoseconds; empty for a timer. `around` is what each CPU did from `AROUND` times
-    the value before until the outlier. `idle_ns` is how long each other CPU was idle while the measured thread waited
-    for its own. `callbacks` are those that the thread was in before the value, one after another. `limits` are those of
-    the control groups of its run, in words. Without parts `note` says why there are none; with parts it says what is
-    wrong with the trace, or is empty.
+    `steps` are the nanoseconds of each step of a message; empty for a timer. `around` is what each CPU did, from
+    `AROUND` times the value before the due time until the outlier. `idle_ns` is how long each other CPU was idle while
+    the measured thread waited for its own. `callbacks` are the earlier callbacks of the thread, in order. `limits` are
+    the limits of the run's control groups, in words. Without parts, `note` gives the reason; with parts, it states what
+    is wrong with the trace, or is empty.
     """
 
     outlier: Outlier
@@ -108,7 +108,7 @@ def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
     outliers.sort(key=lambda one: one.at_ns)
     kind = kind_of(record.suite)
     is_message = kind is not None and kind.has_steps
-    # Outliers share traces, those of several subscribers as well: each is read once.
+    # Outliers, also of several subscribers, may share a trace: it is read once.
     for name in dict.fromkeys(one.trace for one in outliers):
         if name not in record.files:
             raise UsageError(f"{folder}: a trace is in {name!r}, which is no file of the run")
@@ -125,7 +125,7 @@ def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
 
 @contextmanager
 def _without_garbage_collection() -> Iterator[None]:
-    """The many tuples of a trace are in no cycle: to search them for one again and again takes a tenth of the time."""
+    """A trace's many tuples form no cycles: searching them again and again would take a tenth of the time."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -144,15 +144,15 @@ def _explain(
     is_message: bool,
     record: RunRecord,
 ) -> Explained:
-    """One outlier. `all_outliers` are those of the run: no time of theirs is a control.
+    """Explain one outlier. `all_outliers` are those of the run: their time is never used as a control.
 
-    `threads` are those of the program that measured; `is_message` if its values are latencies of messages.
+    `threads` are those of the measuring program. `is_message`: its values are latencies of messages.
     """
     pid = outlier.tid or _measured_thread(order, outlier.at_ns, threads)
     place = bisect_left(trace.events, (outlier.due_ns,))
     if pid is None or place == len(trace.events) or trace.events[place].at_ns > outlier.at_ns:
         return Explained(outlier=outlier, control=Windows(), note=NOT_RECORDED)
-    # In a container threads are known by name alone. Those of publisher and subscriber have the same names.
+    # In a container threads are known by name alone, and publisher and subscriber use the same names.
     known = pid in threads
     own = frozenset(threads) if known else _with_name(order, set(threads.values()))
     callbacks = _earlier_callbacks(outlier, order, pid, record)
@@ -170,7 +170,7 @@ def _explain(
     control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)
     begin_ns = outlier.due_ns - AROUND * outlier.value_ns
     around = {cpu: tuple(order.spans(cpu, begin_ns, outlier.at_ns)) for cpu in order.cpus}
-    # What is observed of a message ends when it is taken.
+    # The observed latency of a message ends when it is taken.
     calls_back = suite(record.suite).subject == "started"
     of_message = steps(parts, pid=pid if calls_back else None, own=own) if is_message and known else {}
     return Explained(
@@ -187,21 +187,21 @@ def _explain(
 
 
 def _earlier_callbacks(outlier: Outlier, order: Timeline, pid: int, record: RunRecord) -> tuple[Callback, ...]:
-    """What the measured thread was about within an outlier, but for the callback that was measured itself."""
+    """The callbacks of the measured thread within an outlier; empty if callbacks are what is measured."""
     kind = kind_of(record.suite)
     if kind and kind.is_of_callbacks:
         return ()
-    # The outlier's time has microseconds.
+    # The outlier's time is in whole microseconds.
     until_ns = outlier.at_ns + 1000
     every = order.callbacks.get(pid, ())
     within = [one for one in every if outlier.due_ns < one.at_ns <= until_ns]
-    # Of those whose end was not seen the last one before is, too.
+    # The last callback before the outlier counts, too, if its end was not seen.
     before = [one for one in every if one.took_ns is None and one.at_ns <= outlier.due_ns][-1:]
     return (*before, *within)
 
 
 def _idle_elsewhere(order: Timeline, parts: Sequence[Part], pid: int) -> Mapping[int, int]:
-    """How long other CPUs were idle while a thread waited for its own: its affinity, or it was not moved."""
+    """How long other CPUs were idle while a thread waited for its own: its affinity forbade a move, or none came."""
     idle_ns: Counter[int] = Counter()
     for part in parts:
         if part.pid != pid or part.state is not State.WAITING:
@@ -215,7 +215,7 @@ def _idle_elsewhere(order: Timeline, parts: Sequence[Part], pid: int) -> Mapping
 
 
 def _what_is_missing(outlier: Outlier, order: Timeline, trace: Trace) -> str:
-    """What the kernel lost during an outlier, and what could not be read of its trace; empty if nothing."""
+    """How many events the kernel lost during an outlier, and how many lines could not be read; empty if none."""
     lost = [one.missing for one in order.lost if outlier.due_ns <= one.at_ns <= outlier.at_ns]
     known = sum(missing or 0 for missing in lost)
     notes = [f"{known} events were lost within" if known else "events were lost within"] if lost else []
@@ -240,9 +240,10 @@ def _with_name(order: Timeline, names: set[str]) -> frozenset[int]:
 
 
 def _measured_thread(order: Timeline, at_ns: int, threads: Mapping[int, str]) -> int | None:
-    """The thread that had the value: one of the program that ran then, by id, or by name in a container.
+    """The thread that had the value: a thread of the program that ran then, by id, or by name in a container.
 
-    Of several, that is the main thread, the first of `threads`: it measures, but for one-shots, of which it waits.
+    If several ran, it is the main thread, the first of `threads`. It measures everything except one-shots, for which it
+    waits.
     """
     ran = [
         span
@@ -258,7 +259,7 @@ def _measured_thread(order: Timeline, at_ns: int, threads: Mapping[int, str]) ->
 
 
 def _threads(path: Path) -> dict[int, str]:
-    """The threads of the program that measure or work for those that do."""
+    """The threads of the program that measure, or that work for a measuring thread."""
     threads = read_json(path, Record).in_effect.threads
     return {one.tid: one.name for one in threads if one.name not in NON_MEASURING_THREADS}
 

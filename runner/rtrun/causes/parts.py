@@ -43,9 +43,9 @@ NAMELESS = frozenset({Kind.UNEXPLAINED, Kind.PROGRAM, Kind.OUTSIDE, Kind.OWN_SLE
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cause:
-    """What took time: the name and id of a thread where there is one, and its priority as the kernel counts.
+    """What took time: the name and id of a thread if there is one, and its priority as the kernel counts it.
 
-    `above` is the priority of the thread that waited for one of higher priority.
+    `above` is the priority of the waiting thread, if it waited for one of higher priority.
     """
 
     kind: Kind

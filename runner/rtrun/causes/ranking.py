@@ -10,10 +10,10 @@ from rtrun.analysis.chance.intervals import chance_of_so_many
 from rtrun.causes.outliers import Explained
 from rtrun.causes.parts import NAMELESS, Cause, Kind, Part
 
-# These have the CPU at other times, too, when nothing is late: only the time beyond what they have then counts.
+# These have the CPU when nothing is late, too: only their time beyond that counts.
 _FREQUENT = frozenset({Kind.HIGHER, Kind.DEADLINE, Kind.EQUAL, Kind.SHARED, Kind.INTERRUPT, Kind.SOFTIRQ})
 # Who had the CPU while the kernel could not be interrupted or preempted may be innocent: the host may have stopped a
-# virtual machine. So it counts for less, the more of the time it has the CPU anyway.
+# virtual machine. So it counts less, the more of the time it has the CPU anyway.
 _CIRCUMSTANTIAL = frozenset({Kind.TIMER_LATE, Kind.NOT_PREEMPTED, Kind.CONSOLE})
 BY_CHANCE = 0.01
 
@@ -22,11 +22,10 @@ BY_CHANCE = 0.01
 class Culprit:
     """What took time, over all outliers.
 
-    `name`, `pid`, `prio` and `above` are those of the thread that took longest, `threads` is the number of threads of
-    that name, `alike` that of threads of names that differ from it in numbers alone.
-    `main` is the number of outliers of which it took more than half. `extra_ns` is its time beyond that in windows of
-    the same length when nothing was late, `as_long` the number of such windows, of `windows`, in which it had the same
-    CPU for at least half as long as in the outlier.
+    `name`, `pid`, `prio` and `above` are those of the thread that took longest. `threads` counts the threads of that
+    name, `alike` the threads whose names differ from it only in numbers. `main` counts the outliers of which it took
+    more than half. `extra_ns` is its time beyond what it took in windows of the same length when nothing was late. In
+    `as_long` of these `windows` it had the same CPU for at least half as long as in the outlier.
     """
 
     kind: Kind
@@ -49,7 +48,7 @@ class Culprit:
 class Ranking:
     """The culprits of all outliers with a trace, worst first, and the sum of their lateness.
 
-    `main_by_kind` is the number of outliers of which all culprits of a kind together took more than half.
+    `main_by_kind` counts the outliers of which all culprits of a kind together took more than half.
     """
 
     culprits: tuple[Culprit, ...]
@@ -59,7 +58,7 @@ class Ranking:
 
     @property
     def named(self) -> Culprit | None:
-        """The culprit that is the main one of at least half of the outliers, but not by chance."""
+        """The culprit that is the main one in at least half of the outliers, unless it may be so by chance."""
         first = next((one for one in self.culprits if one.kind not in NAMELESS), None)
         if first is None or 2 * first.main < max(1, self.outliers):
             return None
@@ -69,17 +68,17 @@ class Ranking:
     def named_kind(self) -> Kind | None:
         """The kind whose culprits together are the main cause of at least half of the outliers, though none alone is.
 
-        None of what depends on who had the CPU by chance.
+        Kinds that depend on who had the CPU by chance are not considered.
         """
         kinds = [kind for kind in self.main_by_kind if kind not in NAMELESS | _CIRCUMSTANTIAL]
         most = max(kinds, key=lambda kind: self.main_by_kind[kind], default=None)
         return None if most is None or 2 * self.main_by_kind[most] < max(1, self.outliers) else most
 
     def is_by_chance(self, culprit: Culprit) -> bool:
-        """Whether somebody who had the CPU may have had it just as often if it had nothing to do with the outliers.
+        """Whether a culprit may have had the CPU just as often if it had nothing to do with the outliers.
 
-        That is so of one outlier alone. Of more, their number is binomial with its share of the time when nothing is
-        late.
+        With one outlier that is always possible. With more, their number is binomial with the culprit's share of the
+        time when nothing is late.
         """
         if culprit.kind not in _CIRCUMSTANTIAL:
             return False
@@ -88,7 +87,7 @@ class Ranking:
 
 
 def rank(explained: Iterable[Explained]) -> Ranking:
-    """Rank the culprits by the number of outliers of which it is the main part, then by time."""
+    """Rank the culprits by the number of outliers in which they are the main part, then by time."""
     cut = [one for one in explained if one.parts]
     alike = _alike(cut)
     occurrences: dict[_Identity, list[_Occurrence]] = defaultdict(list)
@@ -117,18 +116,18 @@ _Identity = tuple[Kind, str]
 
 
 def _identity(cause: Cause) -> _Identity:
-    """What is one culprit: threads of one name, as a script starts the same program again and again.
+    """What makes one culprit: threads of one name, since a script may start the same program again and again.
 
-    Who is chosen while real-time threads are throttled has no part in that.
+    While real-time threads are throttled, it does not matter which thread was chosen.
     """
     return cause.kind, "" if cause.kind is Kind.THROTTLED else cause.name
 
 
 def _alike(cut: Iterable[Explained]) -> Mapping[_Identity, _Identity]:
-    """Of threads that are one culprit although they have several names, by kind and name, the name of all.
+    """The common name of threads that are one culprit under several names, by kind and name.
 
-    That are workers of the kernel, and processes with a number in the name if each outlier has another one: they are
-    made anew for each job. Other names with numbers are of different things, as the threads of two devices are.
+    These are kernel workers, and processes with a number in the name if each outlier has a different one: those are
+    started anew for each job. Other names with numbers belong to different things, such as the threads of two devices.
     """
     seen: dict[_Identity, list[tuple[int, str, int]]] = defaultdict(list)
     for number, one in enumerate(cut):
@@ -166,7 +165,7 @@ def _occurrence(one: Explained, parts: Sequence[Part]) -> _Occurrence:
         usual_ns = min(length_ns, mean_ns if cause.kind in _FREQUENT else mean_ns * length_ns // value_ns)
         windows, as_long = control.count, control.with_at_least(longest.cpu, cause.name, length_ns // 2)
     threads = frozenset((part.cause.name, part.cause.pid) for part in parts if part.cause.pid is not None)
-    # Whether who had the CPU had it by chance is asked of all outliers together.
+    # Whether these had the CPU by chance is judged over all outliers together (`is_by_chance`).
     counted_ns = length_ns if cause.kind in _CIRCUMSTANTIAL else length_ns - usual_ns
     return _Occurrence(cause, threads, length_ns, usual_ns, 2 * counted_ns > value_ns, windows, as_long)
 

@@ -32,14 +32,14 @@ NORMAL_PRIO = 100  # from here on a thread has no real-time priority
 # but not for condition variables, FUTEX_LOCK_PI, FUTEX_LOCK_PI2. The bits above 127 are flags.
 _LOCKING = frozenset({0, 6, 13})
 _FUTEX_COMMAND = 127
-# signal(7), the numbers of every architecture that Linux has but MIPS, Alpha, PA-RISC and SPARC: SIGCONT, and SIGSTOP,
-# SIGTSTP, SIGTTIN and SIGTTOU.
+# signal(7): SIGCONT; and SIGSTOP, SIGTSTP, SIGTTIN and SIGTTOU. The numbers hold for every Linux architecture except
+# MIPS, Alpha, PA-RISC and SPARC.
 _CONTINUING = 18
-# So soon after the threads that it wakes a signal is recorded.
+# A signal is recorded at most this long after the threads that it wakes.
 SIGNALLED_WITHIN_NS = 100_000
 _STOPPING = frozenset({19, 20, 21, 22})
-# While the copy of a trace is written, nothing may be recorded. Only a thread that runs without having been woken shows
-# that it was so: idle CPUs have no events for as long.
+# Recording may be paused while a trace is copied. Only a thread that runs without having been woken proves such a
+# pause: idle CPUs may have no events for as long.
 PAUSED_NS = 10_000_000
 
 # Timers after which threads that used up their time may run again (kernel/sched/rt.c, fair.c).
@@ -74,8 +74,8 @@ class _Cpu:
     spans: list[Span] = field(default_factory=list)
     # The place of the first span since the thread was given this CPU.
     first_of_thread: int = 0
-    # The place of the first span since the trace began or events were lost; and by thread the softirq that began before
-    # that and ended after it.
+    # The place of the first span since the trace began or events were lost; and by thread the softirq that was under
+    # way then.
     first_known: int = 0
     began_before: dict[int, Span] = field(default_factory=dict)
     late_ns: list[tuple[int, int]] = field(default_factory=list)
@@ -94,14 +94,14 @@ class _Cpu:
             self.since_ns = at_ns
 
     def name_what_ran(self, pid: int, name: str) -> None:
-        """Give a thread the name that it has when it goes: a new process has that of its parent at first."""
+        """Give a thread the name that it has when it leaves the CPU: a new process first has its parent's name."""
         for place in range(self.first_of_thread, len(self.spans)):
             span = self.spans[place]
             if span.occupant is not None and span.occupant.context is Context.THREAD and span.occupant.pid == pid:
                 self.spans[place] = span._replace(occupant=span.occupant._replace(name=name))
 
     def forget_idle(self, from_ns: int) -> None:
-        """It is not known whether the CPU was idle from a moment on."""
+        """Forget that the CPU was idle from a moment on: it may have done something else."""
         spans = self.spans[self.first_of_thread :]
         del self.spans[self.first_of_thread :]
         for span in spans:
@@ -114,13 +114,13 @@ class _Cpu:
             self.spans.append(Span(max(span.begin_ns, from_ns), span.end_ns, None))
 
     def note_late(self, start: TimerStart) -> None:
-        """A timer expires in its interrupt: the time for which it had waited for that."""
+        """Record how long an expiring timer had waited for its interrupt."""
         begin_ns = max(start.hard_ns + self.offset_ns, start.at_ns)
         if self.hard and begin_ns < self.hard[-1].began_ns:
             self.late_ns.append((begin_ns, self.hard[-1].began_ns))
 
     def name_what_began_before(self) -> None:
-        """A thread that was in a softirq when the trace began, or while events were lost, was in it until its end."""
+        """Give a softirq that was under way when the trace began, or events were lost, the spans up to its end."""
         for place in range(self.first_known, len(self.spans)) if self.began_before else ():
             span = self.spans[place]
             if span.occupant is None or span.occupant.context is not Context.THREAD:
@@ -149,13 +149,13 @@ class _Builder:
         self.stops: list[Signal] = []
         self.refills_ns: dict[bool, list[int]] = defaultdict(list)
         self.callbacks: dict[int, list[Callback]] = defaultdict(list)
-        # Of each thread, until it sleeps: whom it woke; and the threads that let a control group go on.
+        # Until a thread sleeps: whom it woke, and whether it let a control group go on.
         self.woke: dict[int, list[int]] = defaultdict(list)
         self.thawing: set[int] = set()
         # Threads that slept on after their timer had expired, and when that was.
         self.overslept_ns: dict[int, int] = {}
         self.lost: list[Lost] = []
-        # The last event of any CPU; and the first one after a time in which none had one.
+        # The time of the last event of any CPU, and of the first one after a pause without any.
         self.last_ns = self.resumed_ns = 0
         self.has_waking = False
         self.not_woken: set[int] = set()
@@ -200,14 +200,14 @@ class _Builder:
         cpu.last_ns = event.at_ns
 
     def _is_waiting(self, pid: int) -> bool:
-        """Whether a thread was woken and was not seen to run since; else its lines may be the last before it went."""
+        """Whether a thread was woken and not seen to run since; else this may be its last line on the CPU."""
         changes = self.threads.get(pid, [])
         return bool(changes) and changes[-1].state is State.WAITING
 
     def _leave_idle(self, cpu: _Cpu, event: Current) -> None:
-        """A thread runs on a CPU that was last seen to be idle: a kernel may not record how it leaves that.
+        """A thread runs on a CPU that was last seen idle: a kernel may not record how a CPU leaves idle.
 
-        It has run since some time between its wake and now. What the CPU did in between nobody knows.
+        The thread began to run at some time between its wake-up and now. What the CPU did in between is not known.
         """
         cpu.close(event.at_ns)
         cpu.forget_idle(self.threads[event.pid][-1].at_ns)
@@ -218,7 +218,7 @@ class _Builder:
         self._dequeue(event.pid)
 
     def _remember(self, cpu: _Cpu, event: Event) -> None:
-        """What changes nothing at once, but says why something changes later."""
+        """Keep an event that changes nothing now, but explains a later change."""
         match event:
             case Raise():
                 cpu.raises.setdefault(event.name, event)
@@ -287,7 +287,7 @@ class _Builder:
             if changes is None:
                 self.not_woken.add(next_pid)
             elif changes[-1].state is State.ASLEEP and changes[-1].at_ns < self.resumed_ns:
-                # It was woken while nothing was recorded, and could run at the latest since then.
+                # It was woken while nothing was recorded: it could run when recording went on, if not before.
                 changes.append(StateChange(self.resumed_ns, State.WAITING, number))
             self.threads[next_pid].append(StateChange(at_ns, State.RUNNING, number))
 
@@ -321,7 +321,7 @@ class _Builder:
             return
         self.has_waking |= not event.is_done
         changes = self.threads[event.pid]
-        # Woken while it still runs, or again before it ran: it goes on as it was.
+        # Woken while it still runs, or again before it ran: its state stays.
         if changes and changes[-1].state is not State.ASLEEP:
             return
         waker = self._waker(cpu, event)
@@ -347,7 +347,7 @@ class _Builder:
         return Waker(event.cpu, event.by_pid, context, name, layer.began_ns, expiry, layer.raised)
 
     def _held(self, cpu: _Cpu, event: Wake, waker: Waker) -> Waker:
-        """The thread that woke another, if it let it go on: where it is not followed, whatever it did before."""
+        """The waker, marked if it let a stopped or frozen thread go on: the way back does not follow such a waker."""
         slept = self.threads[event.pid][-1] if self.threads[event.pid] else None
         if slept is not None and slept.why is Why.STOPPED:
             return waker._replace(held=Why.STOPPED)
@@ -363,7 +363,10 @@ class _Builder:
         return waker if is_timer else waker._replace(held=Why.FROZEN, held_ns=expired_ns)
 
     def _signal(self, event: Signal) -> None:
-        """A signal is recorded after the threads that it wakes: what they waited for may be before the trace."""
+        """Mark the threads that a signal woke, to be stopped or to go on: their wake-ups are recorded before it.
+
+        A thread that goes on may have been stopped before the trace began.
+        """
         if event.number in _STOPPING:
             self.stops.append(event)
             for pid in self.woke.get(event.by_pid, ()):
@@ -378,7 +381,7 @@ class _Builder:
                     self.threads[pid][0] = first._replace(waker=first.waker._replace(held=Why.STOPPED))
 
     def _queue(self, pid: int, at_ns: int, cpu: int) -> None:
-        """A thread that waits does so on another CPU from now on."""
+        """Let a waiting thread wait on another CPU from now on."""
         changes = self.threads.get(pid)
         if changes and changes[-1].state is State.WAITING and changes[-1].cpu != cpu:
             changes.append(StateChange(at_ns, State.WAITING, cpu))
@@ -396,9 +399,9 @@ class _Builder:
         self.lost.append(event)
 
     def wait_from_the_begin(self) -> None:
-        """Let threads wait that ran without having been woken: they could run when the trace began.
+        """Let threads that ran without a recorded wake-up wait from the begin of the trace on.
 
-        That is when each CPU has begun, as another one may have woken them, and after the last lost event.
+        The trace has begun when every CPU has begun, since any CPU may have woken them, and after the last lost event.
         """
         begins_ns = [cpu.spans[0].begin_ns if cpu.spans else cpu.since_ns for cpu in self.cpus.values()]
         for pid in self.not_woken:
@@ -425,9 +428,9 @@ def _interrupt(cpu: _Cpu, event: Interrupt) -> None:
 
 
 def reconstruct(events: Iterable[Event], *, started: Iterable[TimerStart] = ()) -> Timeline:
-    """Put the events of a trace, which must be in the order of time, into a timeline.
+    """Build a timeline from the events of a trace, which must be in the order of time.
 
-    `started` are timers that were started before.
+    `started` are timers that were started before these events.
     """
     builder = _Builder()
     builder.timers.update({start.timer: start for start in started})

@@ -28,14 +28,14 @@ class Recurring:
 
 
 def recurring(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Recurring]:
-    """Yield the outputs of a run whose late values have a period; `of` and what is raised are as of `read_measured`."""
+    """Yield the outputs of a run whose late values have a period; `of` and the errors are those of `read_measured`."""
     for measured in read_measured(folder, record, of):
         if measured.values_ns.size < VALUES_AT_LEAST:
             continue
         highest = _highest(measured.values_ns, max(counts_tried(measured.values_ns.size)))
         in_time = _search(measured.times_ns, highest)
         in_loops = _search(measured.index, highest)
-        # Where both fit, as with a fixed period, the time is what people look for.
+        # If both fit, as with a fixed period, people look for the time.
         is_loops = in_loops is not None and (in_time is None or in_loops.p_value < CLEARLY * in_time.p_value)
         best = in_loops if is_loops else in_time
         if best is not None:
@@ -43,7 +43,7 @@ def recurring(folder: Path, record: RunRecord, of: Measure | None = None) -> Ite
 
 
 def _highest(values_ns: Int64s, count: int) -> Int64s:
-    """The places of so many values, the highest first."""
+    """The places of the `count` highest values, the highest first."""
     places = np.argpartition(values_ns, values_ns.size - count)[values_ns.size - count :]
     return np.asarray(places[np.argsort(values_ns[places], kind="stable")[::-1]])
 

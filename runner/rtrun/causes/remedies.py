@@ -15,7 +15,7 @@ DATA = Path(__file__).with_suffix(".yml")
 
 
 class Remedy(Config):
-    """One entry of the file. `kinds` are names of `Kind`; empty: all. `safety_net` is what the change takes away."""
+    """One entry of the file. `kinds` are names of `Kind`; empty: all. The change removes the `safety_net`."""
 
     kinds: list[str] = Field(default_factory=list)
     name: str = ""
@@ -56,6 +56,6 @@ def read_remedies() -> tuple[Remedy, ...]:
 
 
 def remedy(kind: Kind, name: str) -> Remedy | None:
-    """The first remedy that fits a culprit; None for what names nobody."""
+    """The first remedy that fits a culprit; None if none fits."""
     fits = (one for one in read_remedies() if not one.kinds or kind.name in one.kinds)
     return next((one for one in fits if re.search(one.name, name)), None)

@@ -1,8 +1,8 @@
-"""Where a message was while it took its time: the parts of its latency by the steps between two programs.
+"""Where a message spent its time: the parts of its latency by the steps between two programs.
 
 A publisher hands a message to a thread that writes it into the transport. A thread of the subscriber reads it and
-queues it for the thread that calls back. That is so in roscpp (`TopicManager::publish`, `PollManager`,
-`Subscription::handleMessage`, `CallbackQueue`); where a middleware has no such thread, its step takes no time.
+queues it for the thread that calls back. roscpp works so (`TopicManager::publish`, `PollManager`,
+`Subscription::handleMessage`, `CallbackQueue`). In a middleware without such a thread its step takes no time.
 """
 
 from collections import Counter
@@ -29,7 +29,7 @@ def steps(parts: Sequence[Part], *, pid: int | None, own: frozenset[int]) -> Map
     """The nanoseconds of each step, in order; they add up to the parts.
 
     `pid` is the thread of the callback; None: the latency ends when the subscriber has read the message. `own` are the
-    threads of the subscriber. Of other threads the last one wrote.
+    threads of the subscriber. The last of the other threads is the one that wrote.
     """
     writer = next((part.pid for part in reversed(parts) if part.pid is not None and part.pid not in own), None)
     lengths: Counter[Step] = Counter()

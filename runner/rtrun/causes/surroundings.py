@@ -1,4 +1,4 @@
-"""What else was unusual on the target when the highest values came: a run held against its sampler's record."""
+"""What else was unusual on the target when the highest values came: a run compared with its sampler's record."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ _TICKS = {
 class Unusual:
     """A quantity that was unusual when the highest values of an output came.
 
-    `late` and `otherwise` are medians in `unit`. `p_value` holds for all quantities that were `tried` together.
+    `late` and `otherwise` are medians in `unit`. `p_value` holds for all `tried` quantities together.
     """
 
     run: str
@@ -44,7 +44,7 @@ class Unusual:
 
 
 class _States(Config):
-    """target.json; the times since the boot bound those of the samples."""
+    """target.json; its two times since the boot bound the times of the samples."""
 
     schema_number: Literal[1] = Field(alias="schema")
     before: TargetState
@@ -82,7 +82,7 @@ def find_unusual(folder: Path, record: RunRecord, of: Measure | None = None) -> 
 
 
 def _bounds_s(folder: Path, record: RunRecord) -> tuple[float, float] | None:
-    """The times since the boot before and after the run; None where they are not known."""
+    """The times since the boot before and after the run; None if they are not known."""
     if STATES not in record.files:
         return None
     check_file(folder, record, STATES)
@@ -96,8 +96,8 @@ def _intervals(
 ) -> tuple[list[Observation], Floats]:
     """The observations from the first value to the last, and the highest value between each and the next.
 
-    Observations are in time since the boot, samples on a clock that is not disciplined by NTP. The difference of the
-    two is taken to be 0, or as near to it as the times before and after the run allow.
+    Observations have the time since the boot, samples that of a clock that NTP does not discipline. The difference of
+    the two clocks is taken to be 0, or as near to 0 as the times before and after the run allow.
     """
     first_s, last_s = float(measured.times_ns.min()) / 1e9, float(measured.times_ns.max()) / 1e9
     offset_s = 0.0
@@ -121,7 +121,7 @@ def _highest(measured: Measured, edges_ns: Int64s) -> Floats:
 
 
 def _quantities(within: Sequence[Observation]) -> Mapping[tuple[str, str], Floats]:
-    """Every quantity of the intervals between observations, by its name and unit: counts a second, means of gauges."""
+    """Every quantity of the intervals between observations, by name and unit: counts per second, means of gauges."""
     lengths_s = np.diff([each.uptime_s for each in within])
     made: dict[tuple[str, str], Floats] = {}
     ticks = np.diff(np.array([each.ticks_by_kind for each in within], dtype=np.float64), axis=0)

@@ -14,8 +14,8 @@ IDLE_PID = 0
 class Occupant(NamedTuple):
     """What has a CPU: a thread, or an interrupt or softirq within it. The priority of a thread is None if not known.
 
-    `throttled`: the scheduler chose a thread without a real-time priority, or none, though one with such a priority
-    was on the queue of the CPU. `passed_over`: the threads without one that were on it when nobody was chosen.
+    `throttled`: the scheduler chose a thread without a real-time priority, or no thread, though a real-time thread was
+    queued on the CPU. `passed_over`: the threads without a real-time priority that were queued when none was chosen.
     """
 
     context: Context
@@ -27,7 +27,7 @@ class Occupant(NamedTuple):
 
 
 class Span(NamedTuple):
-    """Who had a CPU how long; nobody knows where events were lost."""
+    """Who had a CPU, and from when to when; `occupant` is None where events were lost."""
 
     begin_ns: int
     end_ns: int
@@ -43,7 +43,7 @@ class State(Enum):
 
 
 class Why(Enum):
-    """What a thread that fell asleep waits for, where that can be seen."""
+    """What a thread that fell asleep waits for, if that can be seen."""
 
     UNKNOWN = auto()
     LOCK = auto()
@@ -54,7 +54,7 @@ class Why(Enum):
 
 
 class Expiry(NamedTuple):
-    """A timer that expired on a CPU: when it might at the earliest, when it had to (None: not in the trace)."""
+    """A timer that expired on a CPU, and the times from which it could and had to expire (None: not in the trace)."""
 
     soft_ns: int | None
     hard_ns: int | None
@@ -64,8 +64,8 @@ class Expiry(NamedTuple):
 class Waker(NamedTuple):
     """What woke a thread: a thread, an interrupt or a softirq, which began at `began_ns`.
 
-    `held` is STOPPED or FROZEN where the thread was let go on rather than woken, `held_ns` since when it would have
-    been awake, if that is known. `stops`: it was woken to be stopped, so nobody handed work over.
+    `held` is STOPPED or FROZEN if the thread was let go on rather than woken; `held_ns`, if known, is when it would
+    have woken otherwise. `stops`: it was woken to be stopped, so nobody handed work over.
     """
 
     cpu: int
@@ -81,7 +81,7 @@ class Waker(NamedTuple):
 
 
 class StateChange(NamedTuple):
-    """From this moment on a thread is in a state. `cpu` is that of its run queue; `waker` stands where it was woken."""
+    """From this moment on a thread is in a state. `cpu` is that of its run queue; `waker` is set if it was woken."""
 
     at_ns: int
     state: State
@@ -99,27 +99,27 @@ class Timeline:
     threads: Mapping[int, Sequence[StateChange]]
     names: Mapping[int, str]
     prios: Mapping[int, int]
-    """The latest priority of each thread that was seen to be switched to or from."""
+    """The latest priority of each thread that a switch names."""
     lost: Sequence[Lost]
     stops: Sequence[Signal]
     """The signals that stop a program."""
     faults_ns: Mapping[int, Sequence[int]]
     """When each thread had page faults."""
     consoles_ns: Mapping[int, Sequence[int]]
-    """When each thread had a line for the console."""
+    """When each thread printed a line for the console."""
     frequencies: Mapping[int, Sequence[Frequency]]
-    """Of each CPU, from when on it had which."""
+    """The changes of the frequency of each CPU."""
     late_ns: Mapping[int, Sequence[tuple[int, int]]]
-    """Of each CPU, from when a timer should have expired until its interrupt came, in order."""
+    """For each CPU, in order: from when a timer should have expired until its interrupt came."""
     refills_ns: Mapping[bool, Sequence[int]]
-    """When threads that were throttled could go on, apart for those with a real-time priority and those without."""
+    """When throttled threads could go on: those with a real-time priority (True), and those without (False)."""
     callbacks: Mapping[int, Sequence[Callback]] = field(default_factory=dict)
-    """Of each thread, one after another."""
+    """The callbacks of each thread, in order."""
 
     def spans(self, cpu: int, begin_ns: int, end_ns: int) -> Iterator[Span]:
         """What a CPU did between two moments, without gaps."""
         spans = self.cpus.get(cpu, ())
-        # Tuples are compared without a call of a key function: a span begins with its time, as a change does.
+        # A span begins with its time, as a change does: so tuples are compared, which needs no key function.
         place = max(0, bisect_left(spans, (begin_ns + 1,)) - 1)
         while begin_ns < end_ns:
             while place < len(spans) and spans[place].end_ns <= begin_ns:
@@ -140,7 +140,7 @@ class Timeline:
         return bisect_left(self.threads.get(pid, ()), (at_ns + 1,)) - 1
 
     def running(self, pid: int, at_ns: int) -> int:
-        """The place of the change by which a thread ran at a moment: time stamps have microseconds."""
+        """The place of the change by which a thread ran at a moment: changes may share a time stamp of 1 us."""
         changes, place = self.threads.get(pid, ()), self.place(pid, at_ns)
         while place > 0 and changes[place].at_ns == at_ns and changes[place].state is not State.RUNNING:
             place -= 1

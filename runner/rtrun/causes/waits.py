@@ -9,12 +9,13 @@ from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.timeline import IDLE_PID, Occupant, Span, Timeline
 
 IDLE = "idle"
-# Who is given the CPU while another thread is throttled, but would not have it else.
+# Kinds that get the CPU only because another thread is throttled.
 GIVEN_THE_CPU = frozenset({Kind.SHARED, Kind.EQUAL, Kind.NOT_PREEMPTED, Kind.IDLE_EXIT, Kind.THROTTLED})
-# A thread that was throttled runs so soon after it has time again, unless another one comes first.
+# A throttled thread runs this soon after it has time again, unless another one comes first.
 REFILLED_WITHIN_NS = 500_000
-# Without a real-time priority it may have to wait for a tick, and for those who wait, too. That is not told from mere
-# sharing, which ends so soon after a refill by chance; so it is believed where a quota was used up, of longer waits.
+# Without a real-time priority it may have to wait for a tick, and for other waiting threads. Mere sharing may by chance
+# end as soon after a refill. So this limit applies only if a quota was used up, and if the thread had waited `LONGER`
+# times as long before the refill as after it.
 REFILLED_AT_TICK_NS, LONGER = 4_500_000, 3
 
 
@@ -22,7 +23,7 @@ REFILLED_AT_TICK_NS, LONGER = 4_500_000, 3
 class CpuWaits:
     """Why threads waited for a CPU. `pid` is the measured thread, `own` are the threads of its program.
 
-    `used_up`: the quota of its control group was, in that run.
+    `used_up`: the program's control group used up its quota during the run.
     """
 
     timeline: Timeline
@@ -36,7 +37,7 @@ class CpuWaits:
         return Cause(kind=kind, name=name, pid=pid, prio=self.timeline.prios.get(pid))
 
     def refilled_ns(self, prio: int | None, cpu: int, begin_ns: int, end_ns: int) -> int:
-        """Until when a thread that waited was throttled: it was given the CPU as soon as it had time again. Else 0."""
+        """Until when a waiting thread was throttled: it got the CPU as soon as it had time again. 0 if it was not."""
         is_real_time = prio is not None and prio < NORMAL_PRIO
         times = self.timeline.refills_ns.get(is_real_time, ())
         place = bisect_right(times, end_ns) - 1
@@ -82,12 +83,12 @@ class CpuWaits:
         return Cause(kind=kind, name=who.name, pid=who.pid, prio=other, above=above)
 
     def _was_chosen(self, pid: int, begin_ns: int, end_ns: int) -> bool:
-        """Whether the scheduler gave a thread the CPU that has it at the end of a time, and had not at its begin."""
+        """Whether a thread that has the CPU at the end of a period was given it within that period."""
         place = self.timeline.running(pid, end_ns - 1)
         return place >= 0 and begin_ns < self.timeline.threads[pid][place].at_ns
 
     def _printed(self, pid: int, at_ns: int) -> bool:
-        """Whether a thread had a line for the console since it was given the CPU that it has at a moment.
+        """Whether a thread printed to the console since it was given the CPU that it has at a moment.
 
         A kernel without PREEMPT_RT writes to the console at once, with interrupts or preemption off.
         """
@@ -97,9 +98,9 @@ class CpuWaits:
         return bisect_left(times, began_ns) < bisect_left(times, at_ns)
 
     def while_late(self, span: Span, pid: int) -> Cause:
-        """What a CPU did while the interrupt of a timer should have come, which then woke a thread.
+        """What a CPU did while a timer's interrupt was late, which then woke the thread `pid`.
 
-        A thread of higher priority kept that one from running anyway: with interrupts off, as stop_machine, or not.
+        A thread of higher priority kept `pid` from running anyway: with interrupts off, as stop_machine, or not.
         """
         who = span.occupant
         if who is None or who.context is not Context.THREAD:
@@ -115,19 +116,22 @@ class CpuWaits:
 
 
 def _above(prio: int, of_waiting: int) -> Kind | None:
-    """Whether a thread comes before another: two without a real-time priority share the CPU, whatever their nice is."""
+    """Why a thread comes before a waiting one; None if it does not.
+
+    Two threads without a real-time priority share the CPU, whatever their nice values.
+    """
     if prio < 0:
         return Kind.DEADLINE
     return Kind.HIGHER if prio < min(of_waiting, NORMAL_PRIO) else None
 
 
 def of_no_thread(occupant: Occupant | None) -> Cause:
-    """Of a CPU that an interrupt or a softirq had, or of which nobody knows who had it."""
+    """The cause while an interrupt or a softirq had the CPU, or while it is not known who had it."""
     if occupant is None:
         return Cause(kind=Kind.UNEXPLAINED, name="events are missing")
     return of_interrupt(occupant.context, occupant.name)
 
 
 def of_interrupt(context: Context, name: str) -> Cause:
-    """Of an interrupt or a softirq by its name."""
+    """The cause that an interrupt or a softirq is, by its name."""
     return Cause(kind=Kind.SOFTIRQ if context is Context.SOFT else Kind.INTERRUPT, name=name)

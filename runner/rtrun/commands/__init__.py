@@ -1,1 +1,1 @@
-"""The sub-commands of rtrun, one module each; they parse and print, the work is done elsewhere."""
+"""The sub-commands of rtrun, one module each; they parse and print, other modules do the work."""

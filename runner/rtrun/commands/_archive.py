@@ -1,4 +1,4 @@
-"""What commands that ask an archive share: which one, by which deadline, and its courses."""
+"""Shared by commands that query an archive: its argument, the deadline, and its courses."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -17,14 +17,16 @@ def add_archive(parser: argparse.ArgumentParser) -> None:
 
 
 def add_deadline(parser: argparse.ArgumentParser) -> None:
-    """The deadline, by default the thesis', and the series that it applies to."""
+    """The deadline, by default that of the thesis, and the series that it applies to."""
     add_of(parser, LATENESS)
     parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
 
 
 def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
-    """Every course of the archive, and the deadline in ns that its misses are of. Raises UsageError as `check_extra`,
-    `open_archive` and `read_archive` do, InfrastructureError."""
+    """Read every course of the archive, and the deadline in ns that misses are counted against.
+
+    Raises UsageError as `check_extra`, `open_archive` and `read_archive` do, InfrastructureError.
+    """
     archive, deadline_ns = read_with_deadline(args)
     from rtrun.archive.courses import courses
 
@@ -32,14 +34,14 @@ def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
 
 
 def read_with_deadline(args: argparse.Namespace) -> "tuple[Archive, int]":
-    """The archive, and the deadline in ns. Raises as `read_courses` does."""
+    """Read the archive, and the deadline in ns. Raises as `read_courses` does."""
     from rtrun.plan.question import THESIS
 
     return read(args), args.deadline or THESIS.deadline_ns
 
 
 def read(args: argparse.Namespace) -> "Archive":
-    """The archive, and a remark on the runs that do not count. Raises as `read_courses` does."""
+    """Read the archive, and print a remark on runs that do not count. Raises as `read_courses` does."""
     from rtfiles.output import counted, print_note
     from rtrun.archive.extra import check_extra
 

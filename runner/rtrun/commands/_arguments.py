@@ -6,14 +6,14 @@ from pathlib import Path
 
 import rtrun
 
-# Those of the repository, which the Python package holds, too.
+# The campaigns of the repository, which the Python package also contains.
 CAMPAIGNS = Path(rtrun.__file__).with_name("plan") / "campaigns"
-# The target file where a command names none.
+# The target file when a command names none.
 TARGET_VARIABLE = "RTRUN_TARGET"
 
 
 def add_campaign(parser: argparse.ArgumentParser) -> None:
-    """The campaign file, by its path or by the name of one that is shipped."""
+    """The campaign file, by its path or by the name of a shipped campaign."""
     names = ", ".join(sorted(path.stem for path in CAMPAIGNS.glob("*.yml")))
     parser.add_argument("campaign", type=campaign_file, metavar="CAMPAIGN", help=f"a file, or one of {names}")
     parser.add_argument(
@@ -25,13 +25,13 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
 
 
 def campaign_file(text: str) -> Path:
-    """The file of this path; where there is none, the campaign of that name among those that are shipped."""
+    """The file at this path; if there is none, the shipped campaign of that name."""
     path, shipped = Path(text), CAMPAIGNS / f"{text}.yml"
     return shipped if path.name == text and not path.exists() and shipped.is_file() else path
 
 
 def add_target(parser: argparse.ArgumentParser) -> None:
-    """The one target file; required where the environment names none."""
+    """The one target file; required if the environment names none."""
     given = os.environ.get(TARGET_VARIABLE)
     parser.add_argument(
         "--target",
@@ -44,12 +44,12 @@ def add_target(parser: argparse.ArgumentParser) -> None:
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """JSON instead of words."""
+    """Print JSON instead of words."""
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
 
 def add_results(parser: argparse.ArgumentParser, *, files: bool = True) -> None:
-    """What was measured; `files`: also what a suite wrote without a run around it."""
+    """The results; `files`: also the files that a suite wrote outside a run."""
     takes = ", or a .log, .npy or .json of a suite" if files else ""
     parser.add_argument("results", type=Path, metavar="RESULTS", help=f"folder of runs or one run directory{takes}")
 

@@ -27,14 +27,14 @@ from rtrun.targets.labgrid.coordinator import coordinator_of, list_places, match
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetFile:
-    """What a target file says, and the folder that its relative paths are relative to."""
+    """The content of a target file, and the folder that its relative paths refer to."""
 
     config: TargetConfig
     folder: Path
 
     @property
     def name(self) -> str:
-        """Of the target."""
+        """The name of the target."""
         return self.config.name
 
 
@@ -43,8 +43,9 @@ def read_targets(
 ) -> tuple[TargetFile, ...]:
     """Read target files, and find the places of farms, given as ``labgrid:KEY=VALUE,...`` (tags of the places).
 
-    `environment` is labgrid's environment file for all places; alone it stands for those that it names. Raises
-    UsageError with what is wrong, also when two targets have one name, TargetError when a coordinator is silent.
+    `environment` is labgrid's environment file for all places; given alone, it selects the places that it names. Raises
+    UsageError with what is wrong, also when two targets have the same name, and TargetError when a coordinator does not
+    answer.
     """
     named = [(path, TargetFile(config=read_target(path), folder=path.parent)) for path in paths]
     given = None if environment is None else labgrid_environment.read_environment(environment)
@@ -66,8 +67,10 @@ def read_targets(
 
 
 def _find_places(farm: str, environment: labgrid_environment.Environment | None) -> list[str]:
-    """The places of ``labgrid:KEY=VALUE,...`` that are not in quarantine. Raises UsageError when there are none,
-    TargetError when all are."""
+    """The places of ``labgrid:KEY=VALUE,...`` that are not in quarantine.
+
+    Raises UsageError when there are none, TargetError when all are in quarantine.
+    """
     kind, _, text = farm.partition(":")
     tags = dict(pair.partition("=")[::2] for pair in text.split(","))
     if kind != "labgrid" or not all(tags) or not all(tags.values()):
@@ -84,7 +87,7 @@ def _find_places(farm: str, environment: labgrid_environment.Environment | None)
 
 
 def _target_of(place: str) -> TargetFile:
-    # What a target may not be called by is no part of its name.
+    # Characters that the name of a target must not have are replaced.
     name = re.sub("[^A-Za-z0-9._-]", "-", place).lstrip("._-") or "place"
     data = {"schema": 1, "name": name, "kind": "labgrid", "place": place}
     return TargetFile(config=parse_target(data, f"place {place}"), folder=Path())
@@ -101,7 +104,7 @@ def measure_on(
     chosen: Sequence[Run] | None = None,
     rounds: PlanRounds | None = None,
 ) -> dict[str, RunStatus]:
-    """Measure a campaign, or the chosen runs of it, on these targets. `observer` shows the progress of one alone."""
+    """Measure a campaign, or its chosen runs, on these targets. `observer` shows the progress of a single target."""
     if len(targets) == 1:
         (only,) = targets
         with _connect(only, results, "console.log", observer, lambda: False) as target:
@@ -124,7 +127,7 @@ def measure_on(
 
 
 def print_failed(statuses: Mapping[str, RunStatus]) -> int:
-    """Print a line for each run that is not ok; return the exit status, which is not 0 where there is one."""
+    """Print a line for each run that is not ok; return the exit status, which is 0 if there is none."""
     bad = {name: status for name, status in statuses.items() if status is not RunStatus.OK}
     for name, status in bad.items():
         print_line(f"{name}: {status}")

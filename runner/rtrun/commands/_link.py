@@ -1,4 +1,4 @@
-"""The link of a command that asks a target something, and measures nothing."""
+"""The link for a command that queries a target without measuring."""
 
 import contextlib
 import tempfile
@@ -12,7 +12,7 @@ from rtrun.targets.link import Link
 
 @contextlib.contextmanager
 def linked(config: TargetConfig, folder: Path) -> Iterator[Link]:
-    """Yield a link to the target. Relative paths of the config are relative to `folder`; no console is kept."""
+    """Yield a link to the target. Relative paths in `config` refer to `folder`; no console log is kept."""
 
     def note(text: str) -> None:
         print_note(f"rtrun: {text}")

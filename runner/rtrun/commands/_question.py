@@ -1,4 +1,4 @@
-"""The question that commands ask of results: which deadline, how often, how sure, from how many boots."""
+"""The question that commands ask about results: which deadline, how often, how sure, from how many boots."""
 
 import argparse
 from collections.abc import Callable
@@ -18,7 +18,7 @@ CONFIDENCE = THESIS.confidence
 
 
 def argument(read: Callable[[str], T]) -> Callable[[str], T]:
-    """Let argparse say what is wrong with a value, in the words of the one who reads it."""
+    """Let argparse print what is wrong with a value, in the words of its reader."""
 
     def read_argument(text: str) -> T:
         try:
@@ -62,7 +62,7 @@ def add_question(parser: argparse.ArgumentParser) -> None:
 
 
 def add_of(parser: argparse.ArgumentParser, default: str) -> None:
-    """Which values of the cyclic timer have the deadline."""
+    """Which values of the cyclic timer the deadline applies to."""
     parser.add_argument(
         "--of", choices=get_args(Of), help=f"what the deadline of the cyclic timer is of; all else is late [{default}]"
     )
@@ -80,7 +80,7 @@ def add_confidence(parser: argparse.ArgumentParser) -> None:
 
 
 def question(args: argparse.Namespace, results: Path) -> Question:
-    """What the arguments ask; what they leave open is the goal of the campaign, or else the thesis' question."""
+    """The question in the arguments; what they leave open comes from the campaign's goal, or else from the thesis."""
     from rtfiles.output import print_note
     from rtrun.results.goal_file import read_goal
 
@@ -105,7 +105,7 @@ def question(args: argparse.Namespace, results: Path) -> Question:
 
 
 def ask(args: argparse.Namespace, *, bounds: bool = True) -> "Study":
-    """Examine what the arguments name."""
+    """Examine the results that the arguments name."""
     from rtrun.judgement.study import study
 
     return study(args.results, question(args, args.results), bounds=bounds)

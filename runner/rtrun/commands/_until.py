@@ -35,10 +35,10 @@ def measure_until(
     targets: Sequence[TargetFile],
     results: Path,
 ) -> dict[str, RunStatus]:
-    """Measure the chosen groups, print how far it is after each round and the answers at the end; return the status of
-    each run measured.
+    """Measure the chosen groups, and print the progress after each round and the answers at the end.
 
-    Whatever the answers are, it was measured as planned: `rtrun gate` judges them.
+    Returns the status of each measured run. Whatever the answers are, the campaign was measured as planned:
+    `rtrun gate` judges them.
     """
     best = plan_groups(goal.question, {group.name: group.period_ns for group in groups})
     if best is None:

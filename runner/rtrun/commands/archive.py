@@ -34,7 +34,7 @@ _TOLD_BY = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What to do, and what each of that takes."""
+    """The sub-commands, and the arguments of each."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     add = actions.add_parser("add", help="add the runs of RESULTS that the archive does not have")
     add_results(add, files=False)
@@ -113,7 +113,7 @@ def _add_who(parser: argparse.ArgumentParser) -> None:
 
 
 def _pattern(text: str) -> str:
-    if not text:  # of a shell variable that is not set: it would stand for all
+    if not text:  # from a shell variable that is not set: it would match everything
         raise argparse.ArgumentTypeError("an empty pattern fits nothing: for all of them leave the option out")
     return text
 
@@ -135,7 +135,7 @@ def _package(text: str) -> tuple[str, str]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do it. 1: runs were refused."""
+    """Run the sub-command. Returns 1 if runs were refused."""
     from rtrun.archive.extra import check_extra
 
     check_extra()
@@ -148,7 +148,7 @@ def _add(args: argparse.Namespace) -> int:
     from rtrun.archive.store import make_archive
     from rtrun.archive.tables import Origin
 
-    source = find_runs(args.results)  # no archive is made of nothing
+    source = find_runs(args.results)  # do not make an archive without runs
     origin = Origin(commit=args.commit, image=args.image, packages=dict(args.package))
     done = add_results(
         source,
@@ -194,7 +194,7 @@ def _said(args: argparse.Namespace, kind: "type[NoteT]", /, **fields: Any) -> "N
         raise UsageError("--reason: say why, for whoever reads it later")
     try:
         who = args.who or getpass.getuser()
-    except (KeyError, OSError) as error:  # a container may run as a number that has no name
+    except (KeyError, OSError) as error:  # a container may run under a number that has no name
         raise UsageError("--who: name yourself, the user that this runs as has no name") from error
     at = datetime.now(UTC).replace(tzinfo=None, microsecond=0)
     return parse({"at": at, "who": who, "reason": args.reason, **fields}, kind, "the note")

@@ -17,7 +17,7 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The archive, what is bisected, the order of its versions, the deadline."""
+    """The archive, the fact to bisect, the order of its versions, the deadline."""
     add_archive(parser)
     parser.add_argument(
         "--by",

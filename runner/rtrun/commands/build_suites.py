@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build, and print what they were built with. 0: done, 2: wrong target file, 3: the target cannot."""
+    """Build, and print the build tools. 0: done, 2: wrong target file, 3: the target cannot build them."""
     from rtfiles.output import noting_duration, print_line, print_status
     from rtrun.commands._link import linked
     from rtrun.targets import building

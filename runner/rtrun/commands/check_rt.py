@@ -1,4 +1,4 @@
-"""``rtrun check-rt``: what stands in the way of real time on a target."""
+"""``rtrun check-rt``: what prevents real time on a target."""
 
 import argparse
 from pathlib import Path
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the findings. 0: nothing fatal or high, 1: something, 3: the target cannot be reached."""
+    """Print the findings. 0: nothing fatal or high, 1: at least one such finding, 3: the target cannot be reached."""
 
     from rtfiles.output import print_json
     from rtrun.commands._link import linked

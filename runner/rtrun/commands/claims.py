@@ -1,4 +1,4 @@
-"""rtrun claims: what the campaign says about each of the 19 claims of the thesis."""
+"""rtrun claims: what the campaign shows for each of the 19 claims of the thesis."""
 
 import argparse
 
@@ -14,7 +14,7 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The results and how to print."""
+    """The results, and how to print."""
     add_results(parser, files=False)
     add_json(parser)
     add_confidence(parser)

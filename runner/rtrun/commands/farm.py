@@ -21,12 +21,12 @@ EXAMPLES = (
     "rtrun farm --target lab.yml --check",
 )
 FAILS = "with --check: a place failed"
-CHECKS_AT_ONCE = 8  # each has two processes of labgrid's client, some 50 MiB
+CHECKS_AT_ONCE = 8  # each has two processes of labgrid's client, about 50 MiB
 _UNKNOWN = "not known"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which places, what is known of them, whether each is tried."""
+    """Which places, what is known about them, and whether to check each."""
     parser.add_argument(
         "--target",
         type=Path,
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print a row for each place, or what its check said. 1: one failed, 3: the coordinator does not answer."""
+    """Print a row for each place, or the result of its check. 1: a check failed, 3: the coordinator does not answer."""
     from rtfiles.errors import UsageError
     from rtrun.targets.config import LabgridConfig, parse_target, read_target, wanted_place
     from rtrun.targets.labgrid.coordinator import list_places, list_resources, matching
@@ -78,7 +78,7 @@ def _last_runs(address: str) -> "Mapping[str, RunRow]":
 
 
 def _facts(place: "LabgridPlace", offered: "Sequence[OfferedResource]", last: "RunRow | None") -> dict[str, Any]:
-    """What is known of a place, for JSON; None: not known."""
+    """What is known about a place, for JSON; None: not known."""
     from rtrun.targets.labgrid.coordinator import has_power, resources_of, unoffered
     from rtrun.targets.labgrid.health import FAILED
     from rtrun.targets.labgrid.places import power_cycles
@@ -170,7 +170,7 @@ def _check_all(
     *,
     as_json: bool,
 ) -> int:
-    """Check places, some at a time, and print a line for each as it is done. 1: one failed."""
+    """Check places, several at a time, and print a line for each when it is done. 1: a check failed."""
     from concurrent.futures import ThreadPoolExecutor
     from datetime import UTC, datetime
     from functools import partial
@@ -199,7 +199,7 @@ def _check(
     offered: "Sequence[OfferedResource]",
     place: "LabgridPlace",
 ) -> tuple[str, str]:
-    """Check a place and set its tags; what came of it, and more words."""
+    """Check a place and set its tags; returns the outcome, and details."""
     import getpass
     import tempfile
 
@@ -230,7 +230,7 @@ def _check(
         return "not checked", str(error)
     except TargetError as error:
         failure = str(error)
-    # Asked again: it is no fault of the board where the coordinator is gone, and somebody may have set tags meanwhile.
+    # Ask again: a missing coordinator is not the board's fault, and somebody may have set tags meanwhile.
     now = find_place(coordinator, place.name)
     tags = now.tags if now else {}
     changed = health.after_success(tags) if failure is None else health.after_failure(tags, failure, today)

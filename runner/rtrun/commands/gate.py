@@ -23,7 +23,7 @@ FALSE_ALARMS = 0.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The results, the question, where JUnit XML goes."""
+    """The results, the question, the file for JUnit XML."""
     add_results(parser)
     add_json(parser)
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the cases as JUnit XML")
@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print one line a case. Raises UsageError when there is nothing to judge."""
+    """Print one line per case. Raises UsageError when there is nothing to judge."""
     from dataclasses import asdict
 
     from rtfiles import atomic

@@ -19,7 +19,7 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The archive, what a row is, the deadline, how to print."""
+    """The archive, the meaning of a row, the deadline, how to print."""
     add_archive(parser)
     parser.add_argument(
         "--by", choices=get_args(By), default="day", help="what a row is of; boards and kernels stay apart [day]"

@@ -1,4 +1,4 @@
-"""rtrun import: results of other programs, made into run directories."""
+"""rtrun import: results of other programs, converted into run directories."""
 
 import argparse
 from pathlib import Path
@@ -15,7 +15,7 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The files, where they go, what they were measured on."""
+    """The files, their destination, what they were measured on."""
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="a log, or what one of the programs wrote")
     parser.add_argument(
         "--results", type=Path, default=Path("results/imported"), metavar="FOLDER", help="[results/imported]"
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import every file; one that cannot be read does not stop the others. Raises UsageError naming those."""
+    """Import every file; an unreadable file does not stop the others. Raises UsageError naming such files."""
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line
     from rtrun.results.importers.adopt import adopt
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
                     unknown.setdefault(text, []).append(folder.name)
         except UsageError as error:
             refused.append(str(error))
-    # Once for all, of files of years.
+    # Printed once for all files: there may be years of them.
     for text, names in unknown.items():
         print_line(f"    not known of {names[0] if len(names) == 1 else f'{len(names)} runs'}: {text}")
     if refused:

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure what is not measured yet, and print the table. 0: it was measured, 3: a run failed, or the target did."""
+    """Measure what is not measured yet, and print the table. 0: measured, 3: a run or the target failed."""
     import yaml
 
     from rtfiles import atomic
@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _campaign(args: argparse.Namespace, name: str) -> dict[str, Any]:
-    """A campaign, as its file has it: the topology alone and beside others, interleaved."""
+    """A campaign in the form of its file: the topology alone and next to others, interleaved."""
     where = [f" on {cpu}" for cpu in args.cpu] or [""]
     others = [f"{number} {kind}{on}" for kind in args.kinds for on in where for number in args.nodes]
     return {

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the file and print what the board lacks. 0: it is written, 3: the board is out of reach or was refused."""
+    """Write the file and print what the board lacks. 0: written, 3: the board is out of reach or was refused."""
     import sys
 
     from rtfiles.errors import UsageError
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     values: dict[str, Any] = {"schema": 1, "name": name, "kind": "ssh", "host": host, "user": args.user}
     values |= {"port": args.port, "key": _from_anywhere(key), "host_key": args.host_key}
     values = {key: value for key, value in values.items() if value not in (None, "")}
-    # Before anything is asked of the network: an error in it is reported in the words of target files.
+    # Before any network access: an error here is reported in the words of target files.
     parse_target(values, "new-target")
     if not args.host_key:
         address = address_of(host, user=args.user, port=args.port, key=Path(key) if key else None)
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _answer(question: str) -> str:
-    """Ask on the terminal; an empty answer is one."""
+    """Ask on the terminal; an empty answer is allowed."""
     from rtfiles.errors import UsageError
 
     try:
@@ -80,12 +80,12 @@ def _answer(question: str) -> str:
 
 
 def _from_anywhere(path: str) -> str:
-    """A path that means the same in a target file, wherever that lies."""
+    """A path that means the same in a target file, wherever that file is."""
     return path if not path or path.startswith("~") else str(Path(path).absolute())
 
 
 def _host_key(address: "Address", asks: bool) -> dict[str, str]:
-    """Return the host key for the target file, once the user has compared it; nothing where known_hosts has one."""
+    """Return the host key for the target file, once the user has compared it; empty where known_hosts has the key."""
     from rtfiles.errors import UsageError
     from rtfiles.output import print_line
     from rtrun.targets.errors import TargetError
@@ -110,7 +110,7 @@ def _host_key(address: "Address", asks: bool) -> dict[str, str]:
 
 
 def _kernels(link: "Link") -> dict[str, Any]:
-    """Return how the board is restarted into each of its kernels, where it has the command boot-kernel of our cards."""
+    """Return how to restart the board into each of its kernels, if it has our cards' command boot-kernel."""
     from typing import get_args
 
     from rtrun.plan.run import KernelName
@@ -165,7 +165,7 @@ def _lacks(link: "Link") -> list[str]:
 
 
 def _readiness(link: "Link", output: Path) -> str:
-    """Say in a line what stands in the way of real time."""
+    """State in one line what prevents real time."""
     from rtfiles.invocation import as_called
     from rtrun.targets.inspection import rt_readiness
 

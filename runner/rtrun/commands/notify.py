@@ -1,4 +1,4 @@
-"""rtrun notify: tell somebody, once, of what got worse and failed, and of boards that are offline, ill or new."""
+"""rtrun notify: report once what got worse or failed, and which boards are offline, ill or new."""
 
 import argparse
 from pathlib import Path
@@ -21,7 +21,7 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Who is told, of what."""
+    """Who is notified, and of what."""
     parser.add_argument("receivers", type=Path, metavar="RECEIVERS.yml", help="who is told, and how")
     add_archive(parser)
     parser.add_argument(
@@ -35,8 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Tell every receiver what it has not heard of. Raises InfrastructureError, once all were tried, for those that did
-    not take it."""
+    """Notify every receiver of what it has not received yet.
+
+    Raises InfrastructureError for the receivers that did not accept it, after all were tried.
+    """
     from datetime import UTC, datetime
 
     from rtfiles.config import load
@@ -62,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.results:
         try:
             farm = ask_farm(config.coordinator) if config.coordinator else None
-        except InfrastructureError as error:  # what is known without it is told
+        except InfrastructureError as error:  # what is known without it is still sent
             farm = None
             failures.append(str(error))
         alarms += board_alarms(boards_of(archive.runs, farm), archive.notes)
@@ -110,6 +112,6 @@ def _worse(args: argparse.Namespace, archive: "Archive", known: "list[Course]", 
         false_alarms=FALSE_ALARMS,
         platform=Platform.VIRTUAL,
     )
-    # A second boot in the same folder is the same build.
+    # A second boot in the same folder belongs to the same build.
     first = min(args.results.rglob(FILE), default=args.results)
     return worse_builds(judged, str(first.read_bytes()), archive.notes, known)

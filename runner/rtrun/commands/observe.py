@@ -1,4 +1,4 @@
-"""``rtrun observe``: programs that run already, measured as they are."""
+"""``rtrun observe``: measure programs that run already, unchanged."""
 
 import argparse
 from pathlib import Path
@@ -21,7 +21,7 @@ EXAMPLES = (
     "rtrun observe --target robot.yml --list",
     "rtrun observe --target robot.yml --for 60s --deadline /cmd_vel=5ms",
 )
-# Messages and callbacks that a file for Perfetto holds: it is read whole by a browser.
+# Limit of messages and callbacks in a file for Perfetto: a browser reads it whole.
 DRAWN_MAX = 200_000
 
 
@@ -82,7 +82,7 @@ def _read_trace(text: str) -> str:
 
 
 def _read_until(text: str) -> "dict[str, object]":
-    """Read ``probability=1e-4,at_most=2h``, in the words of `until` of a campaign. Raises ValueError."""
+    """Read ``probability=1e-4,at_most=2h``, in the words of a campaign's `until`. Raises ValueError."""
     from rtfiles.config import Place, parse
     from rtfiles.errors import UsageError
     from rtrun.plan.goal import Goal
@@ -97,7 +97,7 @@ def _read_until(text: str) -> "dict[str, object]":
 
 
 def run(args: argparse.Namespace) -> int:
-    """Observe, show it while it lasts, keep it. 0: it was observed, 3: out of reach, or it cannot be observed."""
+    """Observe, show it meanwhile, keep it. 0: observed, 3: out of reach, or it cannot be observed."""
     from dataclasses import replace
 
     from rtfiles.errors import UsageError
@@ -114,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
     if args.list:
         return _list(args, config, planned)
     results: Path = args.results or Path("results") / config.name
-    # What would be known at the end only, hours later.
+    # Otherwise a problem would only show at the end, hours later.
     run_directory.make_results(results)
     if campaign.until is not None:
         from rtrun.commands._boards import TargetFile, print_failed
@@ -133,7 +133,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _campaign(args: argparse.Namespace, name: str) -> "Campaign":
-    """The campaign of one run that the arguments ask for."""
+    """The campaign with one run that the arguments ask for."""
     from rtfiles.config import parse
     from rtrun.plan.campaign import Campaign
     from rtrun.plan.conditions import SAMPLER
@@ -155,7 +155,7 @@ def _campaign(args: argparse.Namespace, name: str) -> "Campaign":
 
 
 def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Run", folder: Path) -> int:
-    """Observe as one run into a folder, whose name it has."""
+    """Observe as one run into a folder that has the run's name."""
     import secrets
 
     from rtfiles import atomic
@@ -174,7 +174,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
     from rtrun.results.run_state import RunLife, RunState
 
     if args.perfetto is not None:
-        atomic.write_named(args.perfetto, b"{}\n")  # better refused now than after the observation
+        atomic.write_named(args.perfetto, b"{}\n")  # better to fail now than after the observation
     recorder = FlowRecorder(DRAWN_MAX) if args.perfetto else None
 
     seen: list[ObservationResult] = []
@@ -199,7 +199,7 @@ def _observe_once(args: argparse.Namespace, config: "TargetConfig", planned: "Ru
         with beside_the_answer(args.json):
             print_line(f"{record.status}: {record.reason}")
     if recorder is not None and seen:
-        # After the run is kept: this file may find no room.
+        # Only after the run is kept: there may be no room for this file.
         atomic.write_named(args.perfetto, flow_trace(recorder, seen[0].programs).encode())
     return 0 if is_ok else InfrastructureError.exit_status
 
@@ -227,7 +227,7 @@ def _list(args: argparse.Namespace, config: "TargetConfig", planned: "Run") -> i
     assert isinstance(planned.subject, ObservationPlan)
     print_status(f"asking {config.name} what runs there")
     with linked(config, args.target.parent) as link:
-        # It makes the work folder where there is none.
+        # It makes the work folder if there is none.
         inspection.inspect(link)
         scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
         watched = observation.watch(link, scripts, planned.subject)

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from rtrun.plan.run import Run
 
 NAME = "plan"
-# Lengths of bursts whose price is told.
+# Burst lengths whose cost is shown.
 BURSTS = (1, 5, 20)
-# A load that comes and goes so often, in seconds, for which longer runs are proposed.
+# Periods of a changing load, in seconds, for which longer runs are proposed.
 LOADS_S = (60, 600)
 HELP = "print every run of a campaign and how long it takes, without a target"
 EXAMPLES = (
@@ -30,7 +30,7 @@ EXAMPLES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Forecast:
-    """What a goal comes to at a rate of misses; without answer and outlook no number of measurements decides it."""
+    """The cost of a goal at a rate of misses; without answer and outlook, no number of measurements decides it."""
 
     assumed_rate: float
     answer: str | None = None
@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _times(runs: "Sequence[Run]", restarts: int) -> dict[str, float]:
-    """How long runs take in all with so many restarts of the target between them, and what for."""
+    """How long all runs take with `restarts` restarts of the target between them, and for what."""
     from rtrun.plan.run import RESTART_S, SET_UP_S
 
     return {
@@ -121,7 +121,7 @@ def _times(runs: "Sequence[Run]", restarts: int) -> dict[str, float]:
 
 
 def _forecasts(goal: "Goal", groups: "Sequence[Run]", rate: float | None) -> Iterator[_Forecast]:
-    """How long the goal takes in the best case, and at a rate of misses where one is given."""
+    """How long the goal takes in the best case, and at `rate`, if given, of misses."""
     from rtrun.analysis.chance.further import plan_groups
     from rtrun.analysis.deadline import Answer
     from rtrun.plan.rounds import outlook
@@ -143,7 +143,7 @@ def _periods_ns(groups: "Sequence[Run]") -> "dict[str, float | None]":
 
 
 def _lengths_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> list[int]:
-    """How long the bursts are that a proof of each group has to cover, ascending, each once."""
+    """The burst lengths that the groups' proofs have to cover, ascending, each once."""
     from rtrun.plan.question import bursts_asked
 
     return sorted({bursts_asked(goal.question, group.period_ns).length for group in groups})
@@ -159,7 +159,7 @@ def _rounds_of_boot(goal: "Goal", groups: "Sequence[Run]") -> int | None:
 
 
 def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlook]":
-    """How long the goal takes without a miss if a proof has to cover other bursts, by their length."""
+    """How long the goal takes without a miss if a proof has to cover other bursts, by burst length."""
     asked = _lengths_of_bursts(goal, groups)
     lengths = [length for length in BURSTS if [length] != asked]
     forecasts = {
@@ -169,7 +169,7 @@ def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlo
 
 
 def _slowest_load_s(goal: "Goal", groups: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> float | None:
-    """How slowly a load may come and go to be judged by the runs of the best case, in seconds; None without one."""
+    """The slowest change of load, in seconds, that the runs of the best case can judge; None if there is none."""
     from rtrun.analysis.order.constancy import slowest_load
     from rtrun.plan.rounds import joined_s
 
@@ -231,7 +231,7 @@ def _goal_lines(
 
 
 def _default_in_words(goal: "Goal", groups: "Sequence[Run]") -> str:
-    """What a stall comes to, where bursts are not set."""
+    """What a stall means where bursts are not set."""
     if goal.bursts is not None:
         return ""
     least, most = (choose(_lengths_of_bursts(goal, groups)) for choose in (min, max))
@@ -248,7 +248,7 @@ def _observed_goal_line(goal: "Goal", deadlines: "Sequence[StreamDeadline]") -> 
 
 
 def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> dict[str, Any]:
-    """The plan as docs/formats.md has it."""
+    """The plan as docs/formats.md describes it."""
     from dataclasses import asdict
 
     from rtrun.plan.run import blocks

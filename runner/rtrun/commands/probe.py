@@ -1,4 +1,4 @@
-"""``rtrun probe``: what a target is, without measuring anything."""
+"""``rtrun probe``: describe a target without measuring anything."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what the target is. 0: ready, 2: its suites are for another machine, 3: out of reach or lacks something."""
+    """Describe the target. 0: ready, 2: its suites are for another machine, 3: out of reach or lacks something."""
     from dataclasses import asdict
 
     from rtfiles.output import print_json, print_line, print_status
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _middleware(installed: "Installed", service: "Service", runs: bool) -> str:
-    """What the target has of a middleware, in one line."""
+    """What the target has for a middleware, in one line."""
     if installed.several:
         return " or ".join(installed.several)
     if installed.server is None:
@@ -97,6 +97,6 @@ def _middleware(installed: "Installed", service: "Service", runs: bool) -> str:
 
 
 def _shown(fact: "Fact", absent: str = "unknown") -> str:
-    """A fact in one line; what several CPUs have in common is printed once."""
+    """A fact in one line; values that several CPUs share are printed once."""
     values = [fact] if isinstance(fact, str) else fact or [absent]
     return ", ".join(dict.fromkeys(values))

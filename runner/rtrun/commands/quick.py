@@ -1,4 +1,4 @@
-"""``rtrun quick``: a first answer without a file, from what a target has to measure with."""
+"""``rtrun quick``: a first answer without any file, with the tools that a target has."""
 
 import argparse
 from pathlib import Path
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, and print what was proven. 0: it was measured, 3: the target is out of reach, or lacks something."""
+    """Measure, and print what was proven. 0: measured, 3: the target is out of reach, or lacks something."""
     import yaml
 
     from rtfiles import atomic
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _target(args: argparse.Namespace) -> dict[str, Any] | None:
-    """What the target file says that `--target` stands for; None where it names one."""
+    """The target data that `--target` stands for; None where it names a file."""
     from rtfiles.errors import UsageError
     from rtrun.targets.config import target_name
 
@@ -103,7 +103,7 @@ def _target(args: argparse.Namespace) -> dict[str, Any] | None:
 
 
 def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
-    """What is measured on the target. Raises TargetError where it has nothing to measure with."""
+    """What to measure on the target. Raises TargetError where the target has nothing to measure with."""
     from rtfiles.errors import UsageError
     from rtfiles.invocation import as_called
     from rtfiles.output import print_note
@@ -118,7 +118,7 @@ def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
         programs |= {path.name: str(path) for path in (folder / "lib").glob("*/*") if path.is_file()}
     lacks = inspection.missing(link, [quick.BASELINE, f"rt_priority={quick.PRIORITY}"])
     rights = [line for line in lacks if line != quick.BASELINE]
-    # It ends at once where it may not become a real-time program, whatever policy is asked for.
+    # It ends at once if it may not become a real-time program, whatever policy is asked for.
     baselines = [] if lacks else [quick.BASELINE]
     found = [*baselines, *quick.measurable(programs, args.middleware)]
     if not found:
@@ -147,7 +147,7 @@ def _can_trace(link: "Link") -> bool:
 
 
 def _print(study: "Study", findings: "list[CheckResult]", results: Path, target: Path) -> None:
-    """What was proven, what was late and why, what stands in the way of real time, and how to go on."""
+    """What was proven, what was late and why, what prevents real time, and how to go on."""
     import shlex
 
     from rtfiles.invocation import as_called

@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the report, and say the verdicts. Raises UsageError when there is nothing to report on."""
+    """Write the report, and print the verdicts. Raises UsageError when there is nothing to report on."""
     from rtfiles import atomic
     from rtfiles.output import print_bytes, print_line, print_note, print_status
     from rtrun.judgement import gate
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report.contents import contents
     from rtrun.report.plots import pictures
 
-    # The other formats hold no worst cases.
+    # The other formats contain no worst cases.
     format_ = _format(args.format, args.output)
     analysed = ask(args, bounds=format_ in ("html", "markdown", "json"))
     written = contents(analysed)
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _format(given: str | None, output: Path | None) -> str:
-    """The format that was asked for by name, or by the end of the file. Raises UsageError where the two differ."""
+    """The format, by name or by the suffix of the file. Raises UsageError where the two differ."""
     from rtfiles.errors import UsageError
 
     ending = output.suffix.removeprefix(".").lower() if output is not None else ""

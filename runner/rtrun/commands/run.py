@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, print what came out and the next command. 0: every run is ok, 3: some run failed or the target did."""
+    """Measure, print the results and the next command. 0: every run is ok, 3: a run or the target failed."""
     import shlex
 
     from rtfiles.invocation import as_called
@@ -109,7 +109,7 @@ def _measure(
     args: argparse.Namespace,
     results: Path,
 ) -> "dict[str, RunStatus]":
-    """Measure each chosen run that is not finished, and print the table of all that was measured."""
+    """Measure each chosen run that is not finished, and print the table of everything measured."""
     from rtfiles.errors import InfrastructureError
     from rtfiles.output import console, print_line
     from rtrun.commands._boards import measure_on

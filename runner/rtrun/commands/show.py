@@ -51,20 +51,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _leave_garbage() -> None:
-    """Keep Python from searching all that was loaded for garbage at its end: half as long as to load numpy."""
-    # Who calls us from a program of his own may have it loaded; it prints what is left of it then.
+    """Keep Python from searching everything loaded for garbage at exit: it takes half as long as loading numpy."""
+    # A program that calls this may have loaded duckdb, which would then print what is left of it.
     if "duckdb" not in sys.modules:
         gc.freeze()
 
 
 def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
-    """What is there as plain data, as an answer to print, and what was refused."""
+    """The content of a path as plain data, as an answer to print, and what was refused."""
     from rtfiles.errors import UsageError
     from rtrun.report import terminal
     from rtrun.targets.inspection.platform import Platform, weakest
 
     if path.is_dir():
-        # Reading one file takes less time than these take to load.
+        # Reading one file takes less time than loading these.
         from rtrun.results import reading
         from rtrun.results.record import is_closed
 
@@ -108,7 +108,7 @@ def _run_data(run: "ClosedRun") -> dict[str, Any]:
 
 
 def _result_data(result: "Result") -> dict[str, Any]:
-    """What a series is, then its figures in microseconds, as docs/formats.md has it."""
+    """What a series is, then its figures in microseconds, as docs/formats.md describes it."""
     from rtrun.analysis.figures import PERCENTILE_METHOD
     from rtrun.report.terminal import remarks_of
 

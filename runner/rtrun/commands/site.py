@@ -35,8 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the pages. Raises OSError when one cannot be written, InfrastructureError, once they are written without
-    what it knows, where a coordinator does not answer."""
+    """Write the pages. Raises OSError when a page cannot be written.
+
+    Raises InfrastructureError where a coordinator does not answer; the pages are then written without its data.
+    """
     import os
 
     from rtfiles.errors import InfrastructureError, UsageError
@@ -53,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     if coordinator := args.coordinator or os.environ.get("LG_COORDINATOR"):
         try:
             farm, missing = ask_farm(coordinator), ""
-        except (InfrastructureError, UsageError) as error:  # the second: labgrid is not installed
+        except (InfrastructureError, UsageError) as error:  # UsageError: labgrid is not installed
             missing = f"Which boards are offline or in quarantine is not known: {error}"
             failure = error
     args.output.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""rtrun verdict: the answer of each group of runs, what it rests on, and what is still missing."""
+"""rtrun verdict: the answer of each group of runs, what it is based on, and what is still missing."""
 
 import argparse
 from typing import TYPE_CHECKING

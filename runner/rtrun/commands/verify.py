@@ -1,4 +1,4 @@
-"""``rtrun verify``: whether results are those that were closed, byte for byte."""
+"""``rtrun verify``: whether results are unchanged since they were closed, byte for byte."""
 
 import argparse
 
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print a line for every run. 0: all are whole, 1: a run is damaged or has no run.json."""
+    """Print a line for every run. 0: all are unchanged, 1: a run is damaged or has no run.json."""
     from rtfiles.errors import UsageError
     from rtfiles.output import print_json, print_line
     from rtrun.results.reading import find_source

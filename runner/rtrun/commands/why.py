@@ -1,4 +1,4 @@
-"""rtrun why: what late values waited for, and whether they have a period."""
+"""rtrun why: what late values waited for, and whether they recur at a period."""
 
 import argparse
 from pathlib import Path
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the answer, what to change, the worst outliers; the ranking, and what else is known; write FILE."""
+    """Print the answer, the remedies, the worst outliers, the ranking, and what else is known; write FILE."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtfiles.output import counted, print_json, print_line

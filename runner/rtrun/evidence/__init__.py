@@ -1,1 +1,1 @@
-"""What was seen of a system, and what was not: the account that every answer is given by."""
+"""What was seen of a system, and what was not: the account that every answer rests on."""

@@ -16,7 +16,7 @@ from rtrun.targets.inspection.platform import Platform
 def take_account(
     outputs: Sequence[tuple[Header, Trials]], records: Mapping[str, RunRecord], lost: Sequence[LostAttempt]
 ) -> Account:
-    """The account of outputs of runs alike, at least one. `records` are by run, `lost` is of the whole folder."""
+    """The account of outputs of runs of one kind, at least one. `records` are by run, `lost` is of the whole folder."""
     headers = [header for header, _ in outputs]
     kinds = {kind_of(header.target, header.suite, header.parameters) for header in headers}
     of_runs = [records[run] for run in dict.fromkeys(header.run for header in headers) if run in records]
@@ -38,12 +38,12 @@ def take_account(
 
 
 def clock_step_ns(headers: Sequence[Header]) -> int | None:
-    """The widest step of a clock that any was measured with, None where none is known."""
+    """The widest clock step that any of these was measured with, None where none is known."""
     return max((header.clock_step_ns for header in headers if header.clock_step_ns), default=None)
 
 
 def _located(trials: Trials, run: str, record: RunRecord | None) -> Trials:
-    """The trials with the run, the boot, the board and the time that they are of."""
+    """The trials with their run, boot, board and time."""
     if record is None:
         return replace(trials, run=run)
     boot = str(record.target.boot_id or "")

@@ -1,8 +1,8 @@
-"""Attempts that gave no values to judge: they failed, were invalid, were measured again, or are not there any more.
+"""Attempts that gave no values to judge: they failed, were invalid, were measured again, or are gone.
 
-Who leaves them out keeps the lucky ones alone: a run that hung was perhaps late to the end. So each counts, unless its
-end is known to have nothing to do with lateness: its record says so (`UnrelatedEnd`), or the journal (`GivenUp`). What
-began to measure and left no record is known from the journal.
+Leaving them out would keep only the lucky ones: a run that hung may have been late to the end. So each attempt counts,
+unless its record (`UnrelatedEnd`) or the journal (`GivenUp`) says that its end had nothing to do with lateness.
+Attempts that began to measure and left no record are known from the journal.
 """
 
 import json
@@ -28,9 +28,9 @@ _NUMBERED = re.compile(r"([0-9]{1,6})-.*", re.ASCII)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LostAttempt:
-    """An attempt of which nothing is judged; `why` says what became of it.
+    """An attempt that gave nothing to judge; `why` says what became of it.
 
-    `kinds` are those of what it would have measured (`kind_of`); none where that is not known: it may have been any.
+    `kinds` are the kinds that it would have measured (`kind_of`); empty if not known: it may have been any.
     """
 
     run: str
@@ -46,21 +46,21 @@ class LostAttempt:
 
 
 def kind_of(target: str, suite: str, parameters: Mapping[str, Value]) -> str:
-    """What a run measures, and on which target: runs of one kind are alike but for what they found."""
+    """What a run measures, and on which target: runs of one kind differ only in what they found."""
     return json.dumps([target, suite, sorted(telling_parameters(parameters).items())])
 
 
 def lost_attempts(
     source: Source, records: Mapping[Path, RunRecord], unreadable: Mapping[Path, str]
 ) -> tuple[LostAttempt, ...]:
-    """What was attempted in a folder and is not judged, but for what ended for a reason of its own.
+    """The attempts in a folder that are not judged, except those whose end had nothing to do with lateness.
 
     `records` are those of the closed runs, `unreadable` says why others, or their values, cannot be read.
     """
     lost = [_lost(folder.name, record, unreadable.get(folder), records) for folder, record in records.items()]
     lost += [LostAttempt(run=folder.name, why=why) for folder, why in unreadable.items() if folder not in records]
     lost += [_measured_again(folder, records) for folder in source.old]
-    # Whether it hung before, nobody knows.
+    # Nobody knows whether these had hung before.
     lost += [
         LostAttempt(run=name, why="cut off by a restart of the target", kinds=_kinds_of_run(name, records))
         for name in (*source.repeated, *filter(_CUT_OFF.search, source.incomplete))
@@ -92,7 +92,7 @@ def _kind(record: RunRecord) -> str:
 
 
 def _kinds(record: RunRecord, records: Mapping[Path, RunRecord]) -> frozenset[str]:
-    """What an attempt would have measured; of a topology that failed, the streams that others of its kind have."""
+    """What an attempt would have measured; for a failed topology, also the streams that others of its kind have."""
     kind = _kind(record)
     if record.status is RunStatus.OK or record.coverage is not None:
         return frozenset({kind})
@@ -101,7 +101,7 @@ def _kinds(record: RunRecord, records: Mapping[Path, RunRecord]) -> frozenset[st
 
 
 def _kinds_of_run(name: str, records: Mapping[Path, RunRecord]) -> frozenset[str]:
-    """What the attempts at a run measure, its streams among it, on every target and kernel that there are runs of."""
+    """What the attempts at a run measure, including its streams, on every target and kernel that has runs here."""
     run = _plain(name)
     of_run = [one for folder, one in records.items() if run in (folder.name, one.observed_by)]
     targets = {target_of(one) for one in records.values()}
@@ -109,7 +109,7 @@ def _kinds_of_run(name: str, records: Mapping[Path, RunRecord]) -> frozenset[str
 
 
 def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator[LostAttempt]:
-    """What the journal knows of, and nobody finds; without a journal, numbers that are left out."""
+    """Attempts without a record: never closed, known only from the journal, or, without one, missing in the numbers."""
     if not folder.is_dir():
         return
     names = [child.name for child in folder.iterdir() if child.is_dir() and not child.name.startswith(".")]
@@ -124,7 +124,7 @@ def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator
         return
     kept = Counter(_plain(name) for name in names if _CUT_OFF.search(name))
     closed = Counter(_plain(name) for name in names if not _CUT_OFF.search(name) and is_closed(folder / name))
-    # What a runner has begun that is at work goes on.
+    # An attempt of a runner that is still at work goes on.
     goes_on = is_at_work(folder)
     for run, each in known.items():
         if not _is_warm_up(run):
@@ -133,14 +133,14 @@ def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator
 
 
 def _unaccounted(each: RunAttempts, closed: int, kept: int, *, goes_on: bool) -> Iterator[str]:
-    """What the journal says of the attempts at a run that are not among those that are here, so many of each sort."""
+    """What the journal says about attempts at a run that are not here; `closed` and `kept` count those here."""
     for _ in range(each.closed - closed):
         here = f"{closed} of them {'is' if closed == 1 else 'are'} here"
         yield f"closed {counted(each.closed, 'time')} by the journal, {here}"
     for _ in range(each.kept - kept):
         yield "cut off by a restart of the target, and what was kept of it is not here"
     yield from each.given_up
-    # A runner that was killed may have closed it, or kept it, and had no time to say so.
+    # A runner that was killed may have closed or kept it without time to write that down.
     said = max(0, closed - each.closed) + max(0, kept - each.kept)
     yield from each.never_closed(goes_on=goes_on)[said:]
 
@@ -150,7 +150,7 @@ def _plain(name: str) -> str:
 
 
 def _is_warm_up(name: str) -> bool:
-    """Whether it is a warm-up, of which no value is ever judged."""
+    """Whether it is a warm-up, whose values are never judged."""
     return _plain(name).endswith(WARM_UP)
 
 

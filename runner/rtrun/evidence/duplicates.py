@@ -1,4 +1,4 @@
-"""Runs that hold the same measurements, under another name: the same counts, or the same values in the same places."""
+"""Runs that hold the measurements of another run: the same counts, or the same values in the same places."""
 
 import math
 from collections.abc import Sequence
@@ -12,18 +12,18 @@ from rtrun.kinds.values import Int64s
 
 # A run among ten thousand others has the same counts by chance less often than once in a thousand archives.
 BY_CHANCE = 1e-12
-# The highest values of a run that are compared, and how many of two runs have the same distances: of two measurements
-# with a clock of 1 us and 10 000 loops it is two or three.
+# How many of the highest values of a run are compared, and how many must lie at the same distances in two runs. Two
+# separate measurements of 10 000 loops with a clock of 1 us share two or three.
 _COMPARED = 64
 SHARED_LEAST = 10
-# A value that more places have is one of a coarse clock, and tells nothing.
+# A value at more places than this comes from a coarse clock, and tells nothing.
 _PLACES_MAX = 1000
 
 
 def chance_of_same_counts(histogram: Histogram) -> float:
-    """The highest chance with which any distribution makes just these counts: the multinomial one, at its own shares.
+    """The highest chance of exactly these counts under any distribution: multinomial, with the shares of the counts.
 
-    1 where there is but one bin: a coarse clock says the same of every run.
+    1 where there is only one bin: a coarse clock gives the same for every run.
     """
     counts = [*map(int, histogram.counts), histogram.overflow]
     n = sum(counts)
@@ -32,7 +32,7 @@ def chance_of_same_counts(histogram: Histogram) -> float:
 
 
 def copies_among(histograms: Sequence[tuple[str, Histogram]]) -> dict[str, str]:
-    """Which of these runs, by name, hold the same counts as another one: each with the name of that.
+    """The runs, by name, that hold the same counts as another one, each with the name of the other.
 
     A run has a histogram for each of its outputs.
     """
@@ -50,11 +50,11 @@ def copies_among(histograms: Sequence[tuple[str, Histogram]]) -> dict[str, str]:
 
 
 def overlaps_among(trials: Sequence[tuple[str, Trials]]) -> dict[str, str]:
-    """Which of these runs, by name, hold a part of what another one holds: each with the name of that.
+    """The runs, by name, that hold a part of what another one holds, each with the name of the other.
 
-    A log that was appended to, cut off, shifted or edited is not the same file. But its highest values are as far apart
-    as they were. In a start-up two measurements may be alike: the tenth that has most of them does not count. And where
-    they come in a period, a run is also like itself some time later.
+    A log that was appended to, cut off, shifted or edited is not the same file, but its highest values are as far apart
+    as they were. The start-ups of two measurements may be alike, so the tenth with most of the shared values does not
+    count. Periodic values make a run resemble itself some time later, so two runs must share twice as many as that.
     """
     if not trials:
         return {}
@@ -69,7 +69,7 @@ def overlaps_among(trials: Sequence[tuple[str, Trials]]) -> dict[str, str]:
     np.maximum.at(loops, numbers, [one.n for _, one in trials])
 
     first, second = _each_two_alike(heights_ns)
-    # Subscribers of one run have the same moments.
+    # Subscribers of one run measure the same moments.
     told = (runs[first] != runs[second]) | (places[first] != places[second])
     first, second = first[told], second[told]
     if not first.size:
@@ -97,7 +97,7 @@ def overlaps_among(trials: Sequence[tuple[str, Trials]]) -> dict[str, str]:
 
 
 def _each_two_alike(values: Int64s) -> tuple[Int64s, Int64s]:
-    """The places of each two values that are equal, the earlier one first; int64 of shape (pairs,)."""
+    """The places of all pairs of equal values, the earlier ones first; both int64 of shape (pairs,)."""
     order = np.argsort(values, kind="stable")
     alike = np.split(order, np.flatnonzero(np.diff(values[order])) + 1)
     pairs = [each[np.stack(np.triu_indices(each.size, 1))] for each in alike if 1 < each.size <= _PLACES_MAX]

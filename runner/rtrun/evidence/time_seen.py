@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from rtrun.probes.hits import GapCause, covered_ns
 from rtrun.results.record import RunRecord
 
-# A program that is kept from running, or events that come faster than they are read: both come with a busy machine.
+# What a busy machine causes: a program is kept from running, or events come faster than they are read.
 OF_LOAD = frozenset((GapCause.RESTED, GapCause.EVENTS_LOST, GapCause.WATCHDOG_SILENT))
 
 
@@ -19,7 +19,7 @@ class TimeSeen:
 
 
 def time_seen(records: Iterable[RunRecord]) -> TimeSeen:
-    """What observations have seen; what measures by itself has seen all of its time."""
+    """What observations have seen; a run that measures by itself has seen all of its time."""
     asked_ns = unseen_ns = hidden_ns = 0
     for record in records:
         if (coverage := record.coverage) is not None:

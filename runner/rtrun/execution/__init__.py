@@ -1,1 +1,1 @@
-"""How it is measured: a campaign run by run on a target, through lost links, restarts and killed runners."""
+"""Measure a campaign run by run on a target, through lost links, restarts and killed runners."""

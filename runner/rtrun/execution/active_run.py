@@ -1,4 +1,4 @@
-"""A run while it is measured: what is known of it, where it is measured and kept, and how it ended there."""
+"""A run while it is measured: where it is measured, where it is kept, and how it ended on the target."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,11 +37,11 @@ class ActiveRun:
 
     @property
     def service(self) -> Service | None:
-        """What its middleware needs beside the programs; None: nothing."""
+        """The service that its middleware needs in addition to the programs; None: it needs none."""
         return SERVICES.get(self.run.middleware)
 
     def service_identity(self) -> str:
-        """The identity of what its middleware needs, as it runs now; empty: it needs nothing, or that does not run."""
+        """The identity of its middleware's service as it runs now; empty: it needs none, or it does not run."""
         return (self.service.identity(self.link) if self.service else None) or ""
 
     @property
@@ -62,13 +62,13 @@ class RunEnd:
     """How a run ended on the target."""
 
     failure: str | None
-    """Why the measuring programs were not started, or were ended, if so."""
+    """Why the measuring programs were not started, or were ended; None: neither happened."""
     exits: Sequence[Exit]
     ended_early: Mapping[str, str]
     """Background programs that ended before the suite, name to exit status."""
     service: str
-    """The identity of what its middleware needs; empty: it needs nothing, or that has died."""
+    """The identity of its middleware's service; empty: it needs none, or the service has died."""
     after: inspection.TargetState
     """State of the target."""
     files: Mapping[str, int]
-    """What the run has left in its folder on the target, name to size in bytes."""
+    """The files that the run left in its folder on the target, name to size in bytes."""

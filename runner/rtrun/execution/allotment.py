@@ -13,31 +13,31 @@ from rtrun.results.record import read_record
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Round:
-    """Runs to measure now. Where the target is on one of `used_boots`, it is to be restarted first."""
+    """Runs to measure now. If the target's present boot is among `used_boots`, restart it first."""
 
     runs: tuple[Run, ...]
     used_boots: frozenset[str] = frozenset()
 
 
 NextRound = Callable[[Collection[str], Collection[str]], Round | None]
-"""What a board measures next; None: nothing is left for it.
+"""Returns the round that a board measures next; None: nothing is left for it.
 
-Called with the names of the runs that other boards have, and with those of the runs that were begun on this one.
+The arguments are the names of the runs that other boards have, and of the runs that were begun on this board.
 """
 
 
 def rounds_of_blocks(
     blocks: Sequence[Sequence[Run]], needed: Collection[str], done: Collection[str], results: Path
 ) -> NextRound:
-    """The runs of a plan that are `needed`, a round for each block; `done` grows while the caller measures.
+    """Hand out the `needed` runs of a plan, one block per round; `done` grows while the caller measures.
 
-    The block of a run that was begun on the board comes first. Of several kernels no two blocks are measured on one
+    A block with a run that was begun on the board comes first. In a plan with several kernels no two blocks share a
     boot.
     """
     has_kernels = len({run.kernel for block in blocks for run in block}) > 1
 
     def next_round(taken: Collection[str], begun: Collection[str]) -> Round | None:
-        # Boards that wait ask again whenever a run ends: of many runs this must take little time.
+        # Waiting boards ask again whenever a run ends, so this must be fast even with many runs.
         no_more = {*taken, *done}
         ordered = sorted(blocks, key=lambda block: {*begun}.isdisjoint(run.name for run in block)) if begun else blocks
         for block in ordered:
@@ -59,9 +59,10 @@ def _boot_of(folder: Path) -> str:
 
 
 class Allotment:
-    """The rounds of a campaign, handed out to boards that ask from threads of their own; no run is with two of them.
+    """Hands out the rounds of a campaign to boards that ask from their own threads; no two boards get the same run.
 
-    `owners` says which board an earlier call gave an unfinished run to: it stays with that board while it is there.
+    `owners` maps each unfinished run to the board that an earlier call gave it to. The run stays with that board as
+    long as the board takes part.
     """
 
     def __init__(self, next_round: NextRound, boards: Collection[str], owners: Mapping[str, str]) -> None:
@@ -74,13 +75,13 @@ class Allotment:
         self._changed = threading.Condition()
         self._is_planning = False
         self._returned = 0
-        """How often a board gave back what it had."""
+        """How many times a board gave back its runs."""
 
     def take(self, board: str, begun: Collection[str]) -> Round | None:
-        """Return what a board measures next, now that it has closed the runs of its round before.
+        """Return the next round of a board that has closed the runs of its last one; None: the campaign is over.
 
-        `begun` are the runs that an earlier call left something of on this board. Waits while other boards may fail and
-        leave their runs to this one. None: the campaign is over. Raises KeyboardInterrupt after `stop`.
+        `begun` are the runs that an earlier call began on this board. Waits while other boards may fail and leave their
+        runs to this one. Raises KeyboardInterrupt after `stop`.
         """
         with self._changed:
             self._return(board)
@@ -95,7 +96,7 @@ class Allotment:
                 of_others |= {run for run, owner in self._owners.items() if owner != board}
                 asked_at = self._returned
                 each = self._plan(of_others, begun)
-                # What an earlier call gave to this board was offered to it first.
+                # The board was just offered the runs that an earlier call gave it; now any board may take them.
                 self._owners = {run: owner for run, owner in self._owners.items() if owner != board}
                 if self.is_over:
                     continue
@@ -108,9 +109,9 @@ class Allotment:
             raise KeyboardInterrupt
 
     def _plan(self, of_others: Collection[str], begun: Collection[str]) -> Round | None:
-        """Find the next round, which may take an analysis of all results; None when the campaign is over before that.
+        """Find the next round, which may require an analysis of all results; None if the campaign ends meanwhile.
 
-        The analysis has a thread of its own, and nobody else waits for it but boards that want a round, too.
+        The analysis has its own thread. Only boards that also want a round wait for it.
         """
         planned: Future[Round | None] = Future()
 
@@ -136,13 +137,13 @@ class Allotment:
         self._changed.notify_all()
 
     def withdraw(self, board: str) -> None:
-        """Leave what a board had to the others; it takes no more."""
+        """Leave the runs of a board to the others; it takes no more."""
         with self._changed:
             self._owners = {run: owner for run, owner in self._owners.items() if owner != board}
             self._return(board)
 
     def end(self) -> None:
-        """Hand out nothing more; the boards end what they have."""
+        """Hand out nothing more; the boards finish the runs that they have."""
         with self._changed:
             self.is_over = True
             self._changed.notify_all()

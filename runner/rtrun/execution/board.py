@@ -26,7 +26,7 @@ from rtrun.targets.inspection.kernel_trace import tracing
 from rtrun.targets.link import Link, TargetRebooted
 from rtrun.targets.restart import check_restart, restart
 
-# A board that restarts during each of so many attempts will not complete this run.
+# A board that restarts during each of this many attempts will not complete the run.
 ATTEMPTS = 3
 
 Clock = Callable[[], datetime]
@@ -38,7 +38,7 @@ def utc_now() -> datetime:
 
 
 class Observer(Protocol):
-    """What shows the user the progress of a board."""
+    """Shows the user the progress of a board."""
 
     def began(self, number: int, run: Run) -> None: ...
     def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None: ...
@@ -52,24 +52,24 @@ class Session:
     campaign: str
     log: Journal
     runs: Sequence[Run]
-    """Of the campaign, or the groups of one with rounds."""
+    """The runs of the campaign; if it has rounds, its groups."""
     chosen: Sequence[Run]
-    """Those that this call is to measure."""
+    """The runs that this call is to measure."""
     needed: Sequence[Run]
-    """Those that are not finished yet."""
+    """The chosen runs that are not finished yet; with rounds, all of them."""
     finished: Mapping[str, RunStatus]
-    """The others, by name."""
+    """All chosen runs as OK, by name, which `statuses` overrides; with rounds, empty."""
     results: Path
     variants: Mapping[str, Variant]
     now: Clock
     owners: Mapping[str, str] = field(default_factory=dict)
-    """The targets that earlier calls gave unfinished runs to, by the name of the run."""
+    """Name of an unfinished run to the target that an earlier call gave it to."""
     statuses: dict[str, RunStatus] = field(default_factory=dict)
-    """What became of the runs of this call, by name. Extended with each run that is closed."""
+    """The statuses of the runs of this call, by name. Each run that is closed adds its own."""
 
     @property
     def all_statuses(self) -> dict[str, RunStatus]:
-        """What became of the runs of this call and of those before, by name."""
+        """The statuses of the runs of this call and of earlier calls, by name."""
         return {**self.finished, **self.statuses}
 
     def known_runs(self) -> set[str]:
@@ -80,7 +80,7 @@ class Session:
 def measure_rounds(
     session: Session, link: Link, observer: Observer, take_round: Callable[[Collection[str]], Round | None]
 ) -> None:
-    """Measure rounds on a board until `take_round` gives no more; it is told which runs were begun on the board before.
+    """Measure rounds on a board until `take_round` gives no more. Its argument: the runs begun there before.
 
     Raises UsageError when the board cannot do what the campaign asks for, TargetError when it cannot go on.
     """
@@ -92,11 +92,11 @@ def measure_rounds(
     remote = link.target.work_dir / "runs" / session.log.uid
 
     def may_run_go_on() -> bool:
-        # What ours needs, as the ROS master, may be what a run of another campaign has found and uses.
+        # A run of another campaign may use a service of ours, for example the ROS master.
         return resumption.may_run_go_on(link, remote, session.known_runs()) or resumption.is_busy(link)
 
     with link, _PreparedTarget(link, session, may_run_go_on, observer.note) as prepared:
-        # Before anything is ended or removed by what stands there.
+        # This must come first: the contents of the folder decide what is ended or removed later.
         work_folder.make(link)
         # Runs that an earlier call left on the board come first: two runs at once would disturb each other.
         begun = frozenset(resumption.list_folders(link, remote, session.known_runs()))
@@ -110,18 +110,18 @@ def measure_rounds(
             try:
                 if link.boot_id in each.used_boots:
                     prepared.restart(each.runs[0].kernel)
-                # Now, so that it is not in the time of a run.
+                # Prepare now, so that it does not count as time of a run.
                 prepared.get(each.runs[0].kernel)
             except TargetRebooted as error:
-                # By itself. The first run prepares it anew.
+                # The target restarted on its own. The first run prepares it anew.
                 prepared.drop()
                 observer.note(str(error))
             for run in sorted(each.runs, key=lambda run: run.name not in begun):
-                # In a round the name of a run is not that of its group.
+                # A run in a round does not have the name of its group.
                 number = numbers.get(run.name, 0)
                 observer.began(number, run)
                 if is_finished(session.results / run.name):
-                    # By another board, which could not go on when it had closed the run.
+                    # Another board closed the run, and then could not go on.
                     session.statuses[run.name] = RunStatus.OK
                     observer.ended(number, run, RunStatus.OK, None)
                     continue
@@ -143,14 +143,14 @@ def measure_rounds(
 
 
 def _is_foreign(session: Session, run: str, target: str) -> bool:
-    """Whether another board measures a run, or has measured it, since this one was out of reach with it."""
+    """Whether another board has taken over a run that this board began before it was out of reach."""
     return session.owners.get(run, target) != target or is_finished(session.results / run)
 
 
 def _measure(
     session: Session, prepared: "_PreparedTarget", run: Run, observer: Observer, *, may_be_begun: bool
 ) -> tuple[RunStatus, str | None]:
-    """Measure a run, again after each restart of the target that cut it off; return what became of it, and why.
+    """Measure a run, again after each restart of the target that cuts it off; return its status and the reason.
 
     Raises TargetRebooted after too many restarts.
     """
@@ -173,7 +173,7 @@ def _measure(
             observer.note(f"{run.name}: {error}")
             if life.state is RunState.CLOSED:
                 record = read_record(folder)
-                # Of an observation that was cut off, what was seen is closed as a run.
+                # An observation that was cut off has closed what it saw as a run.
                 if not run.subject.is_observed or record.status is not RunStatus.INCOMPLETE or not attempts_left:
                     return record.status, record.reason
             if not attempts_left:
@@ -182,7 +182,7 @@ def _measure(
 
 
 class _PreparedTarget:
-    """The target, prepared when it is asked for, and anew when it was restarted since."""
+    """The target, prepared when it is first needed, and again after each restart."""
 
     def __init__(
         self, link: Link, session: Session, may_run_go_on: Callable[[], bool], notify: Callable[[str], None]
@@ -194,7 +194,7 @@ class _PreparedTarget:
         self._stack = contextlib.ExitStack()
         self._ready: preparation.Prepared | None = None
         self._kernels: dict[str, KernelName] = {}
-        """That it ran, by its boot."""
+        """The kernel that the target ran, by boot."""
 
     def __enter__(self) -> Self:
         return self
@@ -205,9 +205,9 @@ class _PreparedTarget:
         self._stack.__exit__(kind, error, trace)
 
     def get(self, kernel: KernelName | None = None) -> preparation.Prepared:
-        """Return it ready for runs; where a kernel is named, it runs that one, restarted into it if need be.
+        """Return the target ready for runs; if a kernel is named, restart into it where necessary.
 
-        Raises UsageError when the target cannot be restarted into it, TargetError when it runs another one then.
+        Raises UsageError when the target cannot be restarted into it, TargetError when it runs another one afterwards.
         """
         if kernel is not None and self._running_kernel() != kernel:
             self.restart(kernel)

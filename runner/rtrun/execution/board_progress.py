@@ -15,7 +15,7 @@ from rtrun.results.record import RunStatus
 
 
 class BoardLine:
-    """What one board does: its name stands in every line that it prints."""
+    """Shows what one board does. Every printed line has the name of the board."""
 
     def __init__(self, board: str, show: Callable[[str, float | None], None], lock: threading.Lock) -> None:
         self._board, self._show, self._lock = board, show, lock
@@ -50,7 +50,7 @@ class BoardLine:
 
 @contextlib.contextmanager
 def showing_boards(boards: Sequence[str], console: Console) -> Iterator[Mapping[str, BoardLine]]:
-    """Yield what shows the progress of each board, by its name."""
+    """Yield a progress line for each board, by its name."""
     lock = threading.Lock()
     if not console.is_terminal:
         yield {board: BoardLine(board, lambda *_: None, lock) for board in boards}
@@ -68,7 +68,7 @@ def showing_boards(boards: Sequence[str], console: Console) -> Iterator[Mapping[
 
 @contextlib.contextmanager
 def _moving(bars: Progress) -> Iterator[Callable[[TaskID], Callable[[str, float | None], None]]]:
-    """Yield what sets the line of a task: its text, and the time in seconds after which its bar is full."""
+    """Yield a setter for the line of each task: its text, and the time in seconds after which its bar is full."""
     ended = threading.Event()
 
     def shown(task: TaskID) -> Callable[[str, float | None], None]:

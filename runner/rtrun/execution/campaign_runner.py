@@ -1,4 +1,4 @@
-"""A campaign: its results folder and journal, and every run that is not finished yet measured on its target."""
+"""Run a campaign: open its results folder and journal, and measure every unfinished run on its target."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +16,7 @@ from rtrun.targets.config import Target
 from rtrun.targets.link import Link
 
 PlanRounds = Callable[[Callable[[], float]], NextRound]
-"""From the time spent so far, in seconds, to the rounds."""
+"""Makes the rounds from a function that returns the time spent so far, in seconds."""
 
 
 def find_unfinished(results: Path, name: str, runs: Sequence[Run], *targets: str) -> list[tuple[int, Run]]:
@@ -33,7 +33,7 @@ def has_rounds(results: Path, name: str, groups: Sequence[Run], rounds: PlanRoun
     """Whether there is something left to measure for a campaign with rounds. Raises UsageError as `find_unfinished`."""
     run_directory.make_results(results)
     with journal.at_work(results), _open_journal(results, name, groups, targets) as log:
-        # Nobody has worked since the last event, however long ago that was.
+        # No call has run since the last event, so that time is not spent.
         return rounds(lambda: log.spent_s(None))((), ()) is not None
 
 
@@ -51,10 +51,10 @@ def run_campaign(
 ) -> dict[str, RunStatus]:
     """Measure every run that is not finished yet on a target and return run name to status.
 
-    Of a campaign's `runs` only those `chosen` are measured, all by default. `rounds` plans what is measured instead,
-    from the runs as their groups; the statuses are those of this call then. Raises UsageError when the folder holds
-    another campaign, TargetError when the target cannot go on. What was finished before is kept in either case, and
-    another call continues after it.
+    Only the `chosen` of a campaign's `runs` are measured, by default all. With `rounds`, the runs are groups, `rounds`
+    plans what is measured, and the statuses are only those of this call. Raises UsageError when the folder holds
+    another campaign, TargetError when the target cannot go on. In either case finished runs are kept, and another call
+    continues after them.
     """
     chosen = runs if chosen is None else chosen
     with _session(results, name, runs, chosen, [target.name], observer, variants, rounds, now) as session:
@@ -78,8 +78,8 @@ def run_campaign_on_boards(
 ) -> dict[str, RunStatus]:
     """`run_campaign` on several boards at a time: whichever is free measures what comes next.
 
-    A board that cannot go on leaves its runs to the others, and its observer is told. Raises TargetError when no board
-    is left. `observer` takes the remarks that are of no board.
+    A board that cannot go on tells its observer and leaves its runs to the others. Raises TargetError when no board is
+    left. `observer` takes the remarks that concern no single board.
     """
     names = [board.name for board in boards]
     chosen = runs if chosen is None else chosen
@@ -137,7 +137,7 @@ def _session(
 
 @contextlib.contextmanager
 def _open_journal(results: Path, name: str, runs: Sequence[Run], targets: Sequence[str]) -> Iterator[journal.Journal]:
-    """Open the journal of these results. Raises UsageError when it is of another campaign, or of other targets."""
+    """Open the journal of these results. Raises UsageError when it belongs to another campaign or other targets."""
     digest = digest_of(runs)
     with contextlib.closing(journal.open_journal(results, name, digest, *targets)) as log:
         remedy = "give another folder with --results, or --fresh"

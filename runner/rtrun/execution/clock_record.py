@@ -1,4 +1,4 @@
-"""The clock a run was measured with: what it is called, what wakes timers, and its step."""
+"""The clock a run was measured with: its name, the event device that wakes timers, and its step."""
 
 import contextlib
 from collections.abc import Iterable, Mapping
@@ -21,9 +21,9 @@ _COARSE_NS = {
 def record(state: TargetState, seen_ns: Iterable[int]) -> Clock:
     """The clock of a run: its source and event device as the kernel names them, and its step.
 
-    `state` is that before the run, `seen_ns` are the smallest nonzero differences between two readings that the
-    programs saw. The step is the largest of them, and not smaller than the known step of the clocksource; None when
-    neither is known.
+    `state` is the target's state before the run. `seen_ns` holds, for each program, the smallest nonzero difference
+    that it saw between two readings. The step is the largest of these, but at least the known step of the clocksource;
+    None when neither is known.
     """
     source = state.clocksource
     steps = [step for step in seen_ns if step > 0]
@@ -35,7 +35,7 @@ def record(state: TargetState, seen_ns: Iterable[int]) -> Clock:
 def steps_seen(folder: Path, outputs: Iterable[str], records: Mapping[str, Record]) -> list[int]:
     """The clock steps that programs wrote down in ``<output>.json``, in ns; a program of 2014 writes none.
 
-    `records` are those of these files that were read before, by output.
+    `records` holds the files that were read before, by output.
     """
     steps = []
     for output in outputs:

@@ -1,4 +1,4 @@
-"""A run that has ended on its target: what it left is downloaded, judged, and closed with a record."""
+"""Close a run that has ended on its target: download its files, judge them, and write its record."""
 
 import contextlib
 import json
@@ -43,11 +43,11 @@ def close(
     now: Clock,
     troubles: Sequence[str] = (),
 ) -> RunRecord:
-    """Fill the directory of a run that has ended on the target, and return the record that it is closed with.
+    """Fill the directory of a run that has ended on the target, and return its closing record.
 
-    What was observed, or went through a topology, makes runs of its own beside it. `troubles` with the target are those
-    that came after something was observed. Raises TargetError when the target does not hand over its files, unless
-    something was observed: that is kept without them.
+    Streams that were observed, or went through a topology, become further runs next to it. `troubles` are problems with
+    the target after something was observed. Raises TargetError when the target does not hand over its files; if
+    something was observed, it is kept without them instead.
     """
     run = work.run
     if observed is not None:
@@ -55,7 +55,7 @@ def close(
     with contextlib.ExitStack() as stack:
         place = work.folder
         if run.subject.makes_streams:
-            # Its streams are runs, too, and get their places together with it.
+            # Its streams are runs, too: either all of these runs get their folders, or none.
             staged = stack.enter_context(run_directory.all_or_none(place.parent, place.name))
             stream_runs.put_aside(place)
             place = staged / place.name
@@ -116,7 +116,7 @@ def _judge(work: ActiveRun, partial: Path, attempt: Attempt, end: RunEnd, refuse
 
 
 def _take_control_groups(path: Path) -> list[ControlGroup]:
-    """The control groups of a program, whose file is not kept: the record says the same."""
+    """Take the control groups of a program from their file, which is not kept: the record has the same content."""
     if not path.is_file():
         return []
     text = path.read_bytes().decode("utf-8", errors="replace")
@@ -139,7 +139,7 @@ def _program_record(
 
 
 def _built_with(work: ActiveRun) -> dict[str, Any]:
-    """The fact of the target that tells what the suites were built with, where they were built there."""
+    """The target's fact about what the suites were built with, if they were built there."""
     built = f"{work.link.target.work_dir / building.BUILT}/"
     used = any(program.argv[0].startswith(built) for program in work.programs.foreground)
     return {"suites_built_with": dict(work.prepared.equipment.built_with)} if used else {}

@@ -21,9 +21,9 @@ TRACE_LIMIT_BYTES = 64 * MIB
 CGROUPS_LIMIT_BYTES = MIB
 # Traces that a suite keeps of each output.
 TRACES_MAX = 16
-# Text that says something as far as it goes.
+# Text that is useful even when it is cut off.
 _STREAMS = (".stdout", ".stderr")
-# Without room on the disk, and with any dd.
+# Works without room on the disk, and with any dd.
 _CUT = 'cd "$1" && dd if=/dev/null of="$2" bs=1 seek="$3" 2>/dev/null'
 _TRACES = "-trace-*.txt"
 _TRACE = re.compile(r"(.+)-trace-[0-9]{1,18}\.txt", re.ASCII)
@@ -32,9 +32,9 @@ _TRACE = re.compile(r"(.+)-trace-[0-9]{1,18}\.txt", re.ASCII)
 def expected_files(
     suite: str, programs: Sequence[str], outputs: Sequence[str], rows: int, *, traced: bool
 ) -> dict[str, int]:
-    """Return the files that a run may write, name to the largest size that is believable, in bytes.
+    """Return the files that a run may write, name to the largest plausible size in bytes.
 
-    A run that is `traced` writes traces as well, whose names are a pattern: ``<output>-trace-*.txt``.
+    A `traced` run also writes traces; their name is a pattern: ``<output>-trace-*.txt``.
     """
     limits = dict.fromkeys((f"{name}{kind}" for name in programs for kind in _STREAMS), STREAM_LIMIT_BYTES)
     for output in outputs:
@@ -50,17 +50,17 @@ def expected_files(
 
 
 def listing(folder: PurePosixPath, limits: Mapping[str, int]) -> list[str]:
-    """The command that lists the files of a run, which are named by `limits`, for `parse_listing`."""
+    """The command that lists the files of a run that `limits` names, for `parse_listing`."""
     return connection.listing(folder, limits, matches_max=TRACES_MAX)
 
 
 def pull(
     link: Link, source: PurePosixPath, present: Mapping[str, int], destination: Path, limits: Mapping[str, int]
 ) -> dict[str, str]:
-    """Copy the files of a run that are expected; return those that were not taken, or not whole, name to reason.
+    """Copy the expected files of a run; return those that were not taken, or only in part, name to reason.
 
     `present` are the files in `source` with their sizes in bytes.
-    What a program printed is cut off at its limit, on the target, where no program of the run is alive any more.
+    The output of a program is cut off at its limit on the target, where no program of the run is alive any more.
     A log with commands that no suite writes is kept as ``<name>.refused``: gnuplot would execute them.
 
     Raises TargetError when a file arrives with another checksum than it has on the target.
@@ -87,7 +87,7 @@ def pull(
             try:
                 check_commands(destination / name)
             except UsageError as error:
-                # Not under a name that somebody gives to gnuplot.
+                # Not under a name that somebody may pass to gnuplot.
                 (destination / name).rename(destination / f"{name}.refused")
                 refused[name] = f"kept as {name}.refused: {str(error).replace(f'{destination}/', '')}"
     return refused
@@ -98,7 +98,7 @@ def _cut(link: Link, folder: PurePosixPath, name: str, size_bytes: int) -> bool:
 
 
 def _traces(present: Iterable[str], limits: Mapping[str, int]) -> dict[str, int]:
-    """Return the traces among the files there, with their limit: which indices they are of is for the suite to say."""
+    """Return the traces among the files present, with their limit. Only the suite knows which indices they have."""
     outputs = [name.removesuffix(_TRACES) for name in limits if name.endswith(_TRACES)]
     traces = sorted(name for name in present if (trace := _TRACE.fullmatch(name)) and trace[1] in outputs)
     return dict.fromkeys(traces[: TRACES_MAX * len(outputs)], TRACE_LIMIT_BYTES)

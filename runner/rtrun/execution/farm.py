@@ -18,7 +18,7 @@ from rtrun.targets.link import Link
 
 
 class BoardObserver(Observer, Protocol):
-    """What shows the user how far one of several boards is."""
+    """Shows the user how far one of several boards is."""
 
     def left(self, error: str | None) -> None:
         """The board measures no more: the campaign is over, or, with an error, the board cannot go on."""
@@ -26,9 +26,9 @@ class BoardObserver(Observer, Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
-    """A target that is not switched on yet: `connect` boots it, or takes it, for as long as its context lasts.
+    """A target that is not switched on yet: `connect` boots or acquires it for as long as its context lasts.
 
-    `connect` is given what says that the campaign is over, for the time that it waits.
+    The argument of `connect` tells whether the campaign is over, so that it does not wait any longer.
     """
 
     name: str
@@ -39,12 +39,12 @@ class Board:
 def measure_on_boards(session: Session, boards: Sequence[Board], next_round: NextRound) -> None:
     """Measure rounds on whichever board is free, until there are no more.
 
-    A board that fails leaves its runs to the others. Raises TargetError when no board is left; KeyboardInterrupt once
-    every board has cleaned up; InfrastructureError when this machine cannot keep a run, once the boards have ended what
-    they had; what is wrong with the campaign or the program itself ends the work on all boards.
+    A board that fails leaves its runs to the others. An error in the campaign or in the program itself ends the work
+    on all boards. Raises TargetError when no board is left, KeyboardInterrupt once every board has cleaned up, and
+    InfrastructureError when this machine cannot store a run, once the boards have finished theirs.
     """
-    # A thread computes for milliseconds and then waits for its board. To let another one go on after 5 ms, as Python
-    # does by default, costs CPU time and gains nothing.
+    # A thread computes for milliseconds and then waits for its board. Python's default, to switch threads every 5 ms,
+    # costs CPU time and gains nothing.
     sys.setswitchinterval(0.05)
     allotment = Allotment(next_round, [board.name for board in boards], session.owners)
     work = _FarmThreads(session=session, allotment=allotment)
@@ -61,7 +61,7 @@ def measure_on_boards(session: Session, boards: Sequence[Board], next_round: Nex
         if _is_of_this_machine(error) or not isinstance(error, InfrastructureError | KeyboardInterrupt):
             raise error
     if len(work.errors) == len(boards):
-        # A problem common to all boards, as a coordinator that does not answer, is reported once.
+        # A problem common to all boards, such as a coordinator that does not answer, is reported once.
         names: dict[str, list[str]] = {}
         for name, error in work.errors.items():
             if name not in work.said:
@@ -70,20 +70,20 @@ def measure_on_boards(session: Session, boards: Sequence[Board], next_round: Nex
 
 
 def _is_of_this_machine(error: BaseException) -> bool:
-    """Whether it is no failure of a board: another one would measure the run again, and could not keep it either."""
-    causes = (error, error.__cause__)  # a run that goes on is told by a TargetError
+    """Whether this machine failed, not a board: another board would measure the run again, and could not store it."""
+    causes = (error, error.__cause__)  # the TargetError of a run that goes on has the real error as its cause
     return any(isinstance(cause, InfrastructureError) and not isinstance(cause, TargetError) for cause in causes)
 
 
 class _FarmThreads:
-    """The threads' common ground: what ended which board, and how to end them all."""
+    """What the threads share: the errors that ended boards, and the means to end them all."""
 
     def __init__(self, session: Session, allotment: Allotment) -> None:
         self.errors: dict[str, BaseException] = {}
         self.said: set[str] = set()
         """The boards reported to have left their runs to another one that works."""
         self._waiting: dict[str, Callable[[], None]] = {}
-        """What says of a board that it left its runs to others, once one of these works."""
+        """By board: reports that it left its runs to others. Called once another board works."""
         self._working: set[str] = set()
         self._session, self._allotment = session, allotment
         self._links: list[Link] = []
@@ -110,9 +110,9 @@ class _FarmThreads:
                 measure_rounds(self._session, link, board.observer, take)
         except BaseException as raised:
             if isinstance(raised, TargetGone) and self._allotment.is_over:
-                # It was waited for, and came too late.
+                # The board was waited for, and became free too late.
                 return
-            # The thread that waits for all boards decides what it means for them.
+            # The thread that waits for all boards decides what the error means for them.
             error = self.errors[board.name] = raised
             if _is_of_this_machine(raised):
                 self._allotment.end()
@@ -128,15 +128,15 @@ class _FarmThreads:
                 self._changed.notify_all()
 
     def wait(self, boards: int) -> None:
-        """Wait until so many boards have ended.
+        """Wait until this many boards have ended.
 
-        Not by Thread.join: in Python 3.11 a KeyboardInterrupt within it makes it take its thread for ended.
+        Thread.join would not do: after a KeyboardInterrupt within it, Python 3.11 takes the thread for ended.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._ended == boards)
 
     def _say_waiting(self, board: Board) -> None:
-        """Say which boards left their runs to others, now that this one can be reached and asks for its own."""
+        """Report which boards left their runs to others, now that this board works and asks for runs."""
         with self._lock:
             self._working.add(board.name)
             waiting, self._waiting = self._waiting, {}
@@ -145,7 +145,7 @@ class _FarmThreads:
             say()
 
     def _say_left(self, board: Board, error: str | None) -> None:
-        """Say that a board measures no more; that it leaves its runs to others only where one of these works."""
+        """Report that a board measures no more. If it failed, the report waits until another board works."""
         with self._lock:
             self._working.discard(board.name)
             if error is not None and not self._working:

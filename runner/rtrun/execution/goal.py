@@ -1,6 +1,6 @@
-"""Measuring until it is certain: which runs come next, from what the finished ones say.
+"""Measure until the answer is certain: the results of finished runs decide which runs come next.
 
-Nothing but the results is remembered: a campaign that was stopped goes on in the round that it was in.
+The results are the only memory: a campaign that was stopped continues in the same round.
 """
 
 import math
@@ -17,7 +17,7 @@ from rtrun.plan.rounds import boot_of_round, plan_round, rounds_for, rounds_of_b
 from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus, is_closed, verify
 
-# A run that fails so often in its round will not succeed: its group is given up.
+# A run that fails this many times in its round will not succeed: its group is given up.
 TRIES = 3
 
 
@@ -27,13 +27,13 @@ class Findings:
 
     boot_of: Callable[[Run], str | None]
     has_failed: Callable[[Run], bool]
-    """Whether a run that is not finished was measured to its end, in vain."""
+    """Whether a run was measured to its end but did not succeed."""
     evaluate: Callable[[], Sequence[Standing]]
     spent_s: Callable[[], float]
 
 
 def read_findings(results: Path, evaluate: Callable[[], Sequence[Standing]], spent_s: Callable[[], float]) -> Findings:
-    """What the rounds ask, of a results folder. A run that was found finished is not looked at again."""
+    """Read the findings from a results folder. A run that was found finished is not checked again."""
     boots: dict[str, str] = {}
 
     def boot_of(run: Run) -> str | None:
@@ -57,7 +57,7 @@ def read_findings(results: Path, evaluate: Callable[[], Sequence[Standing]], spe
 class Progress:
     """How far a group is (None: nothing is measured), and the time to its answer if misses go on at the rate seen.
 
-    `left_s` holds what lies between runs as well, as far as it was seen; None where no time is long enough.
+    `left_s` includes the time between runs, as far as it was seen; None: no time is long enough.
     """
 
     group: Run
@@ -74,12 +74,12 @@ def rounds(
     report_progress: Callable[[Sequence[Progress], float], None],
     boards: int = 1,
 ) -> NextRound:
-    """What to measure next, until every group has its answer or the time is over.
+    """Plan what to measure next, until every group has its answer or the time is over.
 
-    `measurements` are those of a proof without a miss, by the name of the group. Whoever measures a round asks for the
-    next one when its runs are closed; several `boards` measure rounds of their own at a time. A group with a final
-    answer leaves the rounds; so does one whose run failed `TRIES` times. `report_progress` is called with the seconds
-    spent so far before each new round and at the end, once for each state of the answers.
+    `measurements` is how many measurements without a miss make a proof, by the name of the group. A board asks for its
+    next round when the runs of its last one are closed; several `boards` measure different rounds at the same time. A
+    group with a final answer leaves the rounds; so does a group whose run failed `TRIES` times. `report_progress` is
+    called before each new round and at the end, once for each state of the answers, with the seconds spent so far.
     """
     boot_rounds = rounds_of_boot(groups, measurements, goal.boots)
     lowest = highest = _latest_round(groups, findings)
@@ -118,7 +118,7 @@ def rounds(
         ):
             return None
         for run in todo:
-            # A board that went away with the run says nothing about the run.
+            # A board that was lost together with the run does not count as a failure of the run.
             tries[run.name] = tries[run.name] + 1 if findings.has_failed(run) else 1
         highest = max(highest, number)
         return Round(
@@ -134,11 +134,11 @@ def _is_final(standing: Standing | None) -> bool:
 
 
 def standings_of(groups: Sequence[Run], standings: Sequence[Standing]) -> dict[str, Standing]:
-    """The standing of each group by the group's name; where its runs were told apart, that of the latest run.
+    """The standing of each group by the group's name; if its runs are not pooled, that of the latest run.
 
-    Runs of a campaign are not pooled when the target's kernel changed in between. Of boards that are not alike, which
-    are not pooled either, each has to have its answer, and so has each stream of what is observed that has a deadline:
-    the standing is that of one that has none.
+    Runs of a campaign are not pooled when the target's kernel changed in between, nor when their boards are not alike.
+    Each such board needs its own answer, and so does each observed stream with a deadline: as long as one of them has
+    no answer, the standing of the group is that of this one.
     """
     latest: dict[str, dict[tuple[str, frozenset[str]], tuple[int, Standing]]] = {}
     for standing in standings:
@@ -150,7 +150,7 @@ def standings_of(groups: Sequence[Run], standings: Sequence[Standing]) -> dict[s
                 measured[key] = number, standing
     chosen = {}
     for name, measured in latest.items():
-        # What boards say together stands for what each says alone.
+        # The standing of several boards together replaces those of the single boards.
         single = [
             (number, standing)
             for (stream, boards), (number, standing) in measured.items()
@@ -182,7 +182,7 @@ def _latest_round(groups: Sequence[Run], findings: Findings) -> int:
 def _used_boots(
     groups: Sequence[Run], number: int, highest: int, boot_rounds: int, findings: Findings
 ) -> frozenset[str]:
-    """The boots that runs of rounds up to `highest` were on, of all that are not to share a boot with this round."""
+    """The boots of those rounds up to `highest` that must not share a boot with this round."""
     others = [
         each for each in range(1, highest + 1) if boot_of_round(each, boot_rounds) != boot_of_round(number, boot_rounds)
     ]

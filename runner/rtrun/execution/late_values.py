@@ -1,4 +1,4 @@
-"""Late values of an observation, each with the kernel's events around it, from which its cause is read."""
+"""Late values of an observation, each with the kernel's events around it, which show its cause."""
 
 import heapq
 from collections import deque
@@ -23,25 +23,25 @@ from rtrun.probes.stream import Batch
 from rtrun.probes.trace_text import trace_text
 from rtrun.results.texts import StoredText, TextStore
 
-# Of a stream, as many as a program of the suites keeps.
+# Per stream; the programs of the suites keep as many.
 TRACES_MAX = 16
-# So long events are kept, and no more of them: the kernel's, what threads had to do with the characters of its names,
-# and when there were hits. On a busy machine that is as long.
+# Events are kept for this long, within limits: bytes of kernel events, turns of threads and characters of their names,
+# and times of hits. On a busy machine the limits hold about as much.
 KEPT_NS = 10 * 10**9
 EVENTS_BYTES_MAX = 64 * 1024 * 1024
 TURNS_MAX = 100_000
 TURN_CHARACTERS_MAX = 6_000_000
 HITS_MAX = 1_000_000
-# Text of traces that is made at one time, some seconds' work: other late values wait for the next one.
+# Text of traces that one call makes, some seconds' work: other late values wait for the next call.
 TEXT_BYTES_AT_ONCE_MAX = 32 * 1024 * 1024
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class LateValue:
-    """A value above the limit that held when it came, at a time of CLOCK_MONOTONIC, to a thread.
+    """A value above the limit in force when it came: its time by CLOCK_MONOTONIC, and its thread.
 
-    `text` is the kernel's trace around it, empty where it was not kept; None until the events after it are there.
-    Values that are near one another have the same.
+    `text` is the kernel's trace around it: None until the events after it have arrived, empty if it was not kept.
+    Values close to one another share a trace.
     """
 
     value_ns: int
@@ -57,7 +57,7 @@ class LateValue:
 
     @property
     def from_ns(self) -> int:
-        """From when on events are needed to explain it."""
+        """Events from this time on are needed to explain the value."""
         return self.due_ns - max(control_ns(self.value_ns), BEFORE_NS)
 
     @property
@@ -67,10 +67,10 @@ class LateValue:
 
 @dataclass(slots=True)
 class LateValues:
-    """The first late values of a stream, the number of all, and the limit as it is now.
+    """The first late values of a stream, the number of all late values, and the present limit.
 
-    Of values that were late at the same time, as messages that waited behind one another, the one that waited longest
-    is kept: else all that are kept might have waited for one thing.
+    When several values are late at the same time, for example messages in a queue, only the one that waited longest is
+    kept. Otherwise all kept values might have the same cause.
     """
 
     above_limit: int = 0
@@ -79,7 +79,7 @@ class LateValues:
     kept: list[LateValue] = field(default_factory=list)
 
     def keep(self, late: LateValue) -> None:
-        """Keep one that came after those before."""
+        """Keep a late value. Values must come in the order of time."""
         last = self.kept[-1] if self.kept else None
         if last is not None and late.due_ns < last.at_ns and last.due_ns < late.at_ns:
             if late.value_ns > last.value_ns and last.text is None:
@@ -89,12 +89,12 @@ class LateValues:
 
 
 class LateValueRecord:
-    """Keeps the kernel's events of the last seconds, and of those the ones around late values.
+    """Keeps the kernel's events of the last seconds, and stores those around late values as traces.
 
-    `above` is the limit as `rtrun.plan.trace.read_trace` gives it; a quantile is one of the values of a stream so far.
-    `symbols` are names of the kernel's functions by their addresses, `folder` is where traces are stored; None: where
-    temporary files are. A batch is first given to `record`, then its values to `look`; `cut` then makes the traces of
-    those after which all events are there.
+    `above` is the limit as `rtrun.plan.trace.read_trace` returns it; a quantile is computed from the values of a stream
+    so far. `symbols` maps addresses to names of kernel functions. Traces are stored in `folder`; None: in the folder of
+    temporary files. Pass each batch to `record`, then its values to `look`. `cut` then makes the traces of the late
+    values whose following events have all arrived.
     """
 
     def __init__(self, above: str, symbols: Mapping[int, str], folder: Path | None = None) -> None:
@@ -104,16 +104,16 @@ class LateValueRecord:
         self._symbols = symbols
         self._part = quantile(above)
         self._events: deque[KernelEvents] = deque()
-        """By batches."""
+        """One item per batch."""
         self._gaps: list[Gap] = []
         self._turns: deque[Turn] = deque()
         self._hits: deque[tuple[Int64s, Int64s]] = deque()
-        """When there were hits, and of which threads, by batches."""
+        """Times and threads of hits, one item per batch."""
         self._events_bytes = self._turn_characters = self._hit_count = 0
         self._texts = TextStore(folder)
 
     def record(self, batch: Batch) -> None:
-        """Take the kernel's events of a batch, and which thread each hit was of."""
+        """Take the kernel's events of a batch, and the thread of each hit."""
         if len(batch.kernel):
             self._events.append(batch.kernel)
             self._events_bytes += batch.kernel.size_bytes
@@ -133,7 +133,7 @@ class LateValueRecord:
         self._hit_count -= self._hits.popleft()[0].size
 
     def turn(self, turn: Turn) -> None:
-        """Take what a thread had to do; it is told before the values of its batch."""
+        """Take one turn of a thread. It must come before the values of its batch."""
         self._turns.append(turn)
         self._turn_characters += len(turn.name)
         while len(self._turns) > TURNS_MAX or self._turn_characters > TURN_CHARACTERS_MAX:
@@ -158,7 +158,7 @@ class LateValueRecord:
             late.keep(LateValue(value_ns=int(new.values_ns[place]), at_ns=at_ns, limit_ns=limit_ns, tid=tid))
 
     def _thread(self, at_ns: int) -> int | None:
-        """The thread of the hit at a time; None for one that is not kept any more."""
+        """The thread of the hit at this time; None if the hit is not kept any more."""
         for times, tids in reversed(self._hits):
             if times[0] <= at_ns <= times[-1]:
                 place = int(np.searchsorted(times, at_ns))
@@ -168,7 +168,7 @@ class LateValueRecord:
     def _limit_ns(self, new: NewValues) -> int | None:
         if self._part is None:
             return int(self.above.removesuffix("us")) * 1000
-        # One of those before is expected above it.
+        # Too few values yet: at least one must be expected above the quantile.
         if new.before.n * (1 - self._part) < 1:
             return None
         limit_ns = new.before.quantile_ns(self._part)
@@ -176,7 +176,7 @@ class LateValueRecord:
         return limit_ns and max(1000, limit_ns)
 
     def cut(self, until_ns: int) -> None:
-        """Make the traces of late values, and forget old events; `until_ns`: all events before are there."""
+        """Make the traces of late values, and forget old events. All events before `until_ns` have arrived."""
         turns: _TurnsByTime | None = None
         end = self._texts.end + TEXT_BYTES_AT_ONCE_MAX
         for late in self.streams.values():
@@ -197,7 +197,7 @@ class LateValueRecord:
             self._forget_turn()
 
     def _waiting(self, late: LateValues, until_ns: int) -> Iterator[LateValue]:
-        """Those whose events are all there now."""
+        """The late values without a trace whose events have all arrived."""
         oldest_ns = int(self._events[0].at_ns[0]) if self._events else until_ns
         return (one for one in late.kept if one.text is None and oldest_ns < one.at_ns and one.until_ns <= until_ns)
 
@@ -209,21 +209,21 @@ class LateValueRecord:
 
 
 class _TurnsByTime:
-    """What threads had to do, by when each has its event in a trace."""
+    """Turns of threads, sorted by the time of their event in a trace."""
 
     def __init__(self, turns: Iterable[Turn]) -> None:
         self._turns = sorted(turns, key=_event_ns)
         self._at_ns = np.array([*map(_event_ns, self._turns)], np.int64)
 
     def between(self, from_ns: int, until_ns: int) -> Sequence[Turn]:
-        """Those whose events are from a time to before another."""
+        """The turns with an event at or after `from_ns` and before `until_ns`."""
         first, last = np.searchsorted(self._at_ns, [from_ns, until_ns])
         return self._turns[first:last]
 
 
 @dataclass(frozen=True, slots=True)
 class _EventsOfTrace:
-    """Events of the kernel and callbacks in the order of time, decoded as they are gone through."""
+    """Kernel events and callbacks in the order of time, decoded during iteration."""
 
     kernel: Sequence[KernelEvents]
     turns: Sequence[Turn]
@@ -233,7 +233,7 @@ class _EventsOfTrace:
 
 
 def _event_ns(turn: Turn) -> int:
-    """At its end, or where that was not seen, at its begin."""
+    """The time of a turn's event: its end, or its begin if the end was not seen."""
     return turn.begin_ns if turn.end_ns is None else turn.end_ns
 
 

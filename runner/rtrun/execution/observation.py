@@ -1,4 +1,4 @@
-"""Programs that run already are observed: probes are placed on them, and what these see is read while it lasts."""
+"""Observe programs that run already: place probes on them, and read what the probes see until the end."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -26,13 +26,13 @@ from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import kernel_trace
 from rtrun.targets.link import Link, TargetRebooted
 
-# Events that nothing is read from here, and their number in a second of a busy machine.
+# Events that nothing is read from here, and the number of the others per second on a busy machine.
 _FOR_PEOPLE = ("osnoise",)
 _KERNEL_EVENTS_PER_S = 80_000
-# A program that restarts is there again before.
+# A program that restarts is back within this time.
 GONE_NS = 10 * 10**9
 KEPT_FIRST = "what was observed is kept first; Ctrl-C once more ends rtrun at once"
-# Seen for paths of topics, and for the causes of late values: they come several times for each message.
+# Recorded only for paths of topics and for causes of late values: each message has several of them.
 OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
 
 
@@ -43,7 +43,7 @@ class Watched:
     found: tuple[ObservableProgram, ...]
     placement: Placement
     left_out: int = 0
-    """Programs beyond what is observed at one time."""
+    """How many programs are not observed because there are too many at one time."""
 
 
 def _ignore(_seen: object) -> None:
@@ -52,11 +52,11 @@ def _ignore(_seen: object) -> None:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Onlooker:
-    """Who looks on while programs are observed, and what for.
+    """Who follows an observation, and how it is notified.
 
-    `on_second` is called about once a second with the figures so far, `on_end` with all of it. `is_attended`: somebody
-    waits for it. Ctrl-C ends it as its time does then, and what was seen is kept; where nothing can be observed, that
-    is reported at once.
+    `on_second` is called about once a second with the figures so far, `on_end` with the whole result. `is_attended`: a
+    user waits for the observation. Then Ctrl-C ends it like the end of its time, and what was seen is kept; if nothing
+    can be observed, that is reported at once.
     """
 
     on_second: Callable[[Snapshot], None] = _ignore
@@ -70,7 +70,7 @@ NOBODY = Onlooker()
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObservationResult:
-    """What was observed: the flows, the programs that were there at any time, what was placed, and how it ended."""
+    """What was observed: the flows, all programs that ran meanwhile, the placed probes, and how it ended."""
 
     flows: FlowAccumulator
     programs: tuple[ObservedProgram, ...]
@@ -80,17 +80,17 @@ class ObservationResult:
     end_time: str
     coverage: Coverage
     broken: str = ""
-    """What ended it early against the user's will; empty: nothing did."""
+    """Why it ended early against the user's will; empty: it did not."""
     programs_left_out: int = 0
     cut_off: BaseException | None = None
-    """What ends more than this run, and is raised once that is kept: a restart or Ctrl-C where nobody attends it, a
+    """An error that ends more than this run, raised once the run is kept: a restart or Ctrl-C while nobody attends, a
     second Ctrl-C, a defect of ours."""
     late: LateValueRecord | None = None
-    """Late values, with the kernel's traces of some; None: they were not asked for."""
+    """Late values, some with the kernel's trace; None: they were not asked for."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What is missing in it, a sentence each."""
+        """What is missing in the observation, one sentence each."""
         lines = [*refusals(self.began.refused)]
         if self.programs_left_out:
             lines.append(left_out_in_words(self.programs_left_out))
@@ -110,7 +110,7 @@ class ObservationResult:
 
 
 def watch(link: Link, scripts: PurePosixPath, plan: ObservationPlan, *, trace: str = "") -> Watched:
-    """Look at a target without changing it, and resolve the probes for its programs. Raises TargetError."""
+    """Inspect a target without changing it, and resolve the probes for its programs. Raises TargetError."""
     wanted = [event for event in events() if plan.followed or trace or event not in OF_PATHS]
     listing = find_programs(link, scripts)
     found = listing.found
@@ -130,12 +130,12 @@ def observe(
     now: Callable[[], datetime],
     folder: Path | None = None,
 ) -> ObservationResult:
-    """Observe for the time of the plan; `trace` is the limit above which kernel traces are kept, empty without.
-    What is measured is kept in a file without a name in `folder`, which None stands for that of temporary files.
+    """Observe for the time of the plan; `trace` is the limit above which kernel traces are kept, empty: none are.
 
-    What was started for it is observed no longer than it lives. Raises TargetError where there is nothing to observe,
-    or the target cannot be observed; TargetRebooted and KeyboardInterrupt before something was seen. What was seen
-    before something ended it is returned, whatever that was.
+    What is measured is kept in a file without a name in `folder`; None: in the folder of temporary files. If a system
+    was started for the observation, the observation ends with that system. Raises TargetError if there is nothing to
+    observe or the target cannot be observed; TargetRebooted and KeyboardInterrupt only before something was seen. After
+    that, whatever ends the observation, what was seen is returned.
     """
     if not watched.placement.probes:
         nothing = "; ".join(refusals(watched.placement.refused)) or "no program runs there that uses ROS"
@@ -221,7 +221,7 @@ def observe(
             if late is not None:
                 figures.snapshot(flows.newest_ns)
                 late.cut(flows.newest_ns + AFTER_NS)
-            # Nothing was missed after the last event of one that was read to its end.
+            # An observation that was read to its end has missed nothing after its last event.
             is_whole = finished and finished.is_clean and not broken
             result = ObservationResult(
                 flows=flows,
@@ -249,5 +249,5 @@ def observe(
 
 
 def defect_in_words(error: Exception) -> str:
-    """What ended something that is no trouble with a target: a defect of ours, or a machine that gives no more."""
+    """Describe an error that is no trouble with a target: a defect of ours, or this machine is out of resources."""
     return f"rtrun itself failed: {type(error).__name__}{f': {error}' if str(error) else ''}"[:300]

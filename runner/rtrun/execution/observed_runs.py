@@ -1,4 +1,4 @@
-"""What was observed of programs becomes runs like any other: a run directory for each stream, and one of it all."""
+"""Turn an observation into runs like any other: a run directory for each stream, and one for the whole."""
 
 import contextlib
 import functools
@@ -22,7 +22,7 @@ from rtrun.results.output import Thread
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus, UnrelatedEnd
 from rtrun.targets.inspection.facts import TargetState
 
-# What is written before the streams takes less than one half, graph.json and run.json less than the other.
+# The files written before the streams take less than one half, graph.json and run.json less than the other.
 _ROOM_BYTES = 2**21
 
 
@@ -36,13 +36,13 @@ def write(
     room: Path,
     troubles: Sequence[str] = (),
 ) -> RunRecord:
-    """Write a run for each stream beside `folder`, and one for each deadline of what was not seen.
+    """Write a run for each stream next to `folder`, and one for each deadline whose stream was not seen.
 
-    `record` is that of the run that observed, with what became of it; `partial` is filled with what was placed and
-    found. Returns the record that it is to be closed with: it has failed where no stream with a deadline was seen, and
-    is incomplete where something ended it early, or the disk does not take all of it. The reason of one that is ok
-    tells what it has not seen. `state` is that of the target, `room` is freed for the observation's own files,
-    `troubles` came after it was observed. Raises InfrastructureError where not even that can be written.
+    `record` is the record of the observing run, with its outcome; `partial` is filled with what was placed and found.
+    `state` is the state of the target, `room` is freed for the observation's own files, and `troubles` came after the
+    observation. Returns the closing record. The run has failed if no stream with a deadline was seen. It is incomplete
+    if something ended it early, or the disk does not take all of it. If it is ok, its reason tells what it has not
+    seen. Raises InfrastructureError if not even the observation's own files can be written.
     """
     assert isinstance(run.subject, ObservationPlan)
     deadlines = run.subject.deadlines
@@ -51,7 +51,7 @@ def write(
             "programs": [*record.programs, *map(_program, result.programs)],
             "start_time": result.start_time,
             "end_time": result.end_time,
-            # Its streams have traces, and each a limit of its own.
+            # The traces belong to its streams, each with its own limit.
             "trace": run.trace if run.trace == UNTRACED else "",
             "coverage": result.coverage,
         }
@@ -114,9 +114,9 @@ def free_first_half(folder: Path) -> None:
 
 @contextlib.contextmanager
 def room(folder: Path) -> Iterator[None]:
-    """Keep room on the disk for an observation's own files: others may fill it meanwhile, and its streams after it.
+    """Reserve disk space for an observation's own files: others may fill the disk first, or its streams may.
 
-    Raises InfrastructureError where there is none.
+    Raises InfrastructureError if there is no space.
     """
     path = run_directory.room_of(folder)
     try:
@@ -134,7 +134,7 @@ def room(folder: Path) -> Iterator[None]:
 def _programs(
     result: ObservationResult, parameters: Mapping[str, Value], parties: Sequence[str]
 ) -> Sequence[ProgramRecord]:
-    """The programs that parameters of a stream name; all of them where none is known by its name."""
+    """The programs that a stream's parameters name; all programs if none has such a name."""
     known = result.flows.state.pids
     pids = {pid for key in parties for pid in known.get(str(parameters.get(key)), ())}
     return [_program(each) for each in [each for each in result.programs if each.pid in pids] or result.programs]

@@ -1,4 +1,4 @@
-"""Prepare a target: deploy scripts and suites, check its tools, see to it that what middlewares need runs."""
+"""Prepare a target: deploy scripts and suites, check its tools, and run the services that middlewares need."""
 
 import contextlib
 import gzip
@@ -33,7 +33,7 @@ class Prepared:
     platform: KnownPlatform
     scripts: PurePosixPath
     sampler: str
-    """The path of what observes the target: the program of the suites, or the script where they have none."""
+    """The path of the sampler: the program of the suites, or the script if they have none."""
     programs: dict[str, str]
     kernel_config: bytes
     own_services: frozenset[str]
@@ -43,7 +43,7 @@ class Prepared:
     setup: str | None = None
     """The shell file that a variant names for its programs."""
     variants: Mapping[str, "Prepared"] = field(default_factory=dict)
-    """The same target with the suites and the set-up of each variant, by its name."""
+    """By name of the variant: the same target with the suites and the set-up of that variant."""
 
     def for_run(self, run: Run) -> "Prepared":
         """The target with what the run's variant needs."""
@@ -63,7 +63,7 @@ class Prepared:
                 "install it, or name the shell file that sets it up as ros_setup in the target file"
             )
         own = [suites.executable(run.suite, program, run.parameters) for program in suites.suite(run.suite).programs]
-        preloading = [SAMPLER] if suites.preloaded(run.parameters) else []  # it has the libraries beside it
+        preloading = [SAMPLER] if suites.preloaded(run.parameters) else []  # the libraries are next to it
         for program in (*own, *sorted(conditions.suites_programs(run.condition)), *preloading):
             if program not in self.programs:
                 return (
@@ -86,9 +86,9 @@ def prepared(
     may_run_go_on: Callable[[], bool],
     variants: Mapping[str, Variant] | None = None,
 ) -> Iterator[Prepared]:
-    """Deploy scripts and suites, and see to it that services run while the context lasts, or a run goes on.
+    """Deploy scripts and suites, and keep services running while the context lasts or a run goes on.
 
-    Raises TargetError where no run can be measured.
+    Raises TargetError if no run can be measured.
     """
     target = link.target
     equipment = inspection.inspect(link)
@@ -97,7 +97,7 @@ def prepared(
         inspection.check_suites(folder, target, equipment)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     installed = equipment.programs if of_target is None else _deploy_suites(link, of_target)
-    # What a runner that was killed left would slow down what is measured next; a trace that is in use stays.
+    # A trace that a killed runner left would slow down the next measurement. A trace that is in use stays.
     link.check([str(scripts / "trace.sh"), "down"])
     kernel_config = inspection.read_kernel_config(link)
     tools = _tools(link, scripts, runs, kernel_config)
@@ -105,7 +105,7 @@ def prepared(
         name: (_deploy_suites(link, variant.suites) if variant.suites else installed) | tools
         for name, variant in ({"": Variant()} | dict(variants or {})).items()
     }
-    # One for all variants: what it costs must not be taken for an effect of one of them.
+    # All variants share one sampler, so that its cost is not taken for an effect of a variant.
     samplers = [each[SAMPLER] for each in (*programs.values(), equipment.programs) if SAMPLER in each]
     deploy.prune(link, 1 + len(variants or {}))
     with contextlib.ExitStack() as running:
@@ -152,7 +152,7 @@ def _needs_suites(run: Run) -> bool:
 
 
 def middlewares_of(run: Run) -> set[str]:
-    """The names of those whose programs a run starts."""
+    """The names of the middlewares whose programs a run starts."""
     return {run.middleware, conditions.middleware_of_loads(run.condition)}
 
 

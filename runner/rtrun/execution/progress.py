@@ -16,7 +16,7 @@ from rtrun.results.record import RunStatus
 
 
 class _Estimate:
-    """The time left: what is planned, and once a run has ended, what runs have taken beyond their measuring."""
+    """The time left: the planned time and, once a run has ended, the time that runs take beyond their measuring."""
 
     def __init__(self, runs: Sequence[Run]) -> None:
         self._runs = runs
@@ -93,7 +93,7 @@ class RoundProgress:
 class BarProgress(PlainProgress):
     """The same lines above a bar that moves while a run measures.
 
-    The bar begins with the first run: before it a passphrase may be asked for, and the bar would overwrite that.
+    The bar begins with the first run: earlier it might overwrite the prompt for a passphrase.
     """
 
     def __init__(self, runs: Sequence[Run], bar: Progress) -> None:
@@ -118,7 +118,7 @@ class BarProgress(PlainProgress):
 
 
 class _TimeBar(BarColumn):
-    """A bar of the time that has passed, of all the time that the campaign should take."""
+    """A bar that shows which part of the campaign's expected time has passed."""
 
     def render(self, task: Task) -> ProgressBar:
         left_s = task.fields["left_s"]
@@ -138,7 +138,7 @@ class _TimeLeft(ProgressColumn):
 
 @contextlib.contextmanager
 def showing(runs: Sequence[Run], console: Console) -> Iterator[PlainProgress]:
-    """Yield what shows the progress of these runs on this console."""
+    """Yield an observer that shows the progress of these runs on this console."""
     if not console.is_terminal:
         yield PlainProgress(runs)
         return

@@ -40,7 +40,7 @@ for file in attempt.json state; do
     echo
 done
 """
-# Prints the first program that lives of any run, or of a build beside them, and its process group, if that is known.
+# Prints the first living program of any run or build, and its process group if that is known.
 _BUSY = (
     groups.FUNCTIONS
     + """
@@ -54,13 +54,13 @@ if [ "$busy" ]; then
 fi
 """
 )
-# The runs to look for are its input, a name a line: others may have put a million folders beside theirs.
+# Reads the names of the runs from standard input, one a line: others may have put a million folders next to them.
 _FOLDERS = """
 cd "$1" 2>/dev/null || exit 0
 while IFS= read -r name; do [ -e "$name" ] && echo "$name"; done
 exit 0
 """
-# Prints the first run that may go on. What _KEEP_END of processes.py has kept says that the programs of a suite ended.
+# Prints the first run that may go on. A file kept by _KEEP_END of processes.py shows that a suite's programs ended.
 _GOING_ON = """
 cd "$1" 2>/dev/null || exit 0
 while IFS= read -r name; do
@@ -70,8 +70,8 @@ while IFS= read -r name; do
 done
 exit 0
 """
-# Makes the folder, prints the target's state. A lost link ends the input early: a file that is not complete does not
-# get its name.
+# Makes the folder, prints the target's state. A lost link ends the input early: an incomplete file does not get its
+# final name.
 _WRITE = """
 mkdir -p "$2" && cd "$2" && cat >attempt.new && [ "$(wc -c <attempt.new)" -eq "$3" ] || exit 1
 sync attempt.new && mv attempt.new attempt.json && echo state && sh "$4" >state && cat state
@@ -79,7 +79,7 @@ sync attempt.new && mv attempt.new attempt.json && echo state && sh "$4" >state 
 
 
 class Attempt(Config):
-    """How a run began: when, beside which service, the command line of each of its programs, and the target's state.
+    """How a run began: when, with which service, the command line of each of its programs, and the target's state.
 
     The state is in a file of its own, which the target writes.
     """
@@ -107,13 +107,13 @@ class Leftovers:
     attempt: Attempt | None
     """What is known of the programs that were started since the last restart."""
     unreadable: str | None
-    """Why the attempt file is not read, where there is one."""
+    """Why the attempt file, if there is one, could not be read."""
 
     def can_be_picked_up(self, measuring: Collection[str], closed: RunRecord | None) -> bool:
         """Whether the run measures, or has measured, and was not closed since.
 
-        `measuring` are the programs that are started last: before them nothing is measured. `closed` is the record of
-        the run directory, perhaps of this very attempt, which the runner had no time to remove.
+        `measuring` are the programs that are started last: before them nothing is measured. `closed` is the record in
+        the run directory. It may be of this very attempt, if the runner had no time to remove the folder on the target.
         """
         return (
             self.attempt is not None
@@ -126,7 +126,7 @@ class Leftovers:
 def inspect_leftovers(
     link: Link, remote: PurePosixPath, programs: Collection[str], others: Collection[str]
 ) -> Leftovers:
-    """Look at what an earlier call left of a run with these programs of its suite, and others."""
+    """Inspect what an earlier call left of a run with these programs of its suite, and these others."""
     command = ["sh", "-c", _INSPECT, "sh", str(remote), str(LIMIT_BYTES), *programs, *others]
     head, mark, text = link.check(command).partition("attempt\n")
     words = [line.split() for line in head.splitlines()]
@@ -158,16 +158,16 @@ def _parse_attempt(text: str, origin: str, programs: Collection[str]) -> Attempt
 
 
 def list_folders(link: Link, runs: PurePosixPath, names: Collection[str]) -> list[str]:
-    """Return which of these runs of a campaign an earlier call has left something of."""
+    """Return those of these runs that still have a folder from an earlier call."""
     found = set(link.check(["sh", "-c", _FOLDERS, "sh", str(runs)], stdin=_lines(names)).splitlines())
     return [name for name in names if name in found]
 
 
 def may_run_go_on(link: Link, runs: PurePosixPath, names: Collection[str]) -> bool:
-    """Whether one of these runs may go on on the target: it was started on this boot, and nobody has seen its end.
+    """Whether one of these runs may still be running: it was started on this boot, and its end was not seen.
 
-    This is asked of the target whenever something is to be ended that runs need: no error tells it, as the link may
-    have broken before, while or after a run was started, and an earlier call may have left one.
+    The target is asked this before anything that runs need is ended. No error can tell it: the link may have broken
+    before, while or after a run was started, and an earlier call may have left one.
     """
     return bool(link.check(["sh", "-c", _GOING_ON, "sh", str(runs)], stdin=_lines(names)).strip())
 
@@ -202,7 +202,7 @@ def _refuse_busy(link: Link, printed: str) -> None:
 
 
 def without_folder(start_time: str, before: TargetState) -> Attempt:
-    """The attempt at a run of which nothing is put on the target: no later call can pick it up."""
+    """The attempt at a run that puts nothing on the target, so that no later call can pick it up."""
     return Attempt(
         schema=1, uid=secrets.token_hex(8), start_time=start_time, service="", own_service=False, argv={}, before=before
     )
@@ -218,7 +218,7 @@ def begin(
     argv: Mapping[str, Sequence[str]],
     state_script: PurePosixPath,
 ) -> Attempt:
-    """Make the folder of a run with its attempt file, and the target's state as a script there prints it.
+    """Make the folder of a run with its attempt file and the target's state, which a script there prints.
 
     Raises TargetError when a program of another run, or a build, still lives on the target: each would disturb the
     other.
@@ -234,7 +234,7 @@ def begin(
     text = json.dumps(data)
     words = [str(remote.parent.parent), str(remote), str(len(text.encode())), str(state_script)]
     command = ["sh", "-c", _BUSY + _WRITE, "sh", *words]
-    # It does the work of two.
+    # This command does the work of two.
     printed = link.check(command, deadline_s=2 * COMMAND_S, stdin=text)
     busy, _, state = printed.partition("state\n")
     _refuse_busy(link, busy)

@@ -1,7 +1,7 @@
-"""The graph of the nodes on a target, as ROS itself tells it: nothing is placed, and no program is touched.
+"""The graph of the nodes on a target, as ROS itself reports it: no probe is placed, and no program is touched.
 
-Of ROS 1 the master and its nodes are asked. Of ROS 2, which has no master, a node with the environment of a program
-joins its domain for some seconds, where the target has rclpy for that.
+With ROS 1, the master and its nodes are asked. ROS 2 has no master: a node with the environment of a program joins its
+domain for some seconds, if the target has rclpy.
 """
 
 import re
@@ -22,12 +22,12 @@ from rtrun.probes.programs import ObservableProgram
 from rtrun.targets.errors import TargetError
 from rtrun.targets.link import Link
 
-# Of all masters and domains together.
+# For all masters and domains together.
 NODES_MAX = 2000
 NAMES_MAX = 100_000
-# How long a node of ROS 2 looks: programs are found in some tenths of a second, on a slow board in more.
+# How long a ROS 2 node looks around: it finds programs in some tenths of a second, on a slow board later.
 LOOK_S = 3
-# For all of them.
+# For all masters and domains together.
 ASK_S = 60.0
 ROS1, ROS2 = "libroscpp", "librcl"
 _MASTER, _DOMAIN = "ROS_MASTER_URI", "ROS_DOMAIN_ID"
@@ -37,7 +37,7 @@ _OF_ROS = re.compile(
     r"/(?:rosout(?:_agg)?|parameter_events|clock)|.*/(?:get_loggers|set_logger_level|get_type_description|"
     r"(?:describe|get|list|set)_parameters(?:_atomically)?|get_parameter_types)"
 )
-# Of each process: its own words, one a line, behind its pid.
+# Prints the two variables of each process, one a line, after its pid.
 _ASK_ENVIRONMENT = (
     'for pid; do tr "\\n\\0" "?\\n" <"/proc/$pid/environ" | '
     f'grep -E "^({_MASTER}|{_DOMAIN})=" | sed "s/^/$pid /"; done 2>/dev/null; exit 0'
@@ -45,7 +45,7 @@ _ASK_ENVIRONMENT = (
 
 
 class GraphNode(Config):
-    """A node, with the names of what it publishes, takes and serves; `pid` where that is known."""
+    """A node, with the names of what it publishes, takes and serves; `pid` if that is known."""
 
     name: str
     publishes: Annotated[list[str], Field(max_length=NODES_MAX)] = Field(default_factory=list)
@@ -62,14 +62,14 @@ class _Told(Config):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RosGraph:
-    """The nodes that are known, and why others are not, a sentence each."""
+    """The known nodes, and the reasons why others are not known, one sentence each."""
 
     nodes: tuple[GraphNode, ...]
     remarks: tuple[str, ...]
 
     @property
     def topics(self) -> dict[str, tuple[list[str], list[str]]]:
-        """Who publishes and who takes each topic, by its name."""
+        """By topic: the nodes that publish it, and those that take it."""
         made: dict[str, tuple[list[str], list[str]]] = {}
         for node in self.nodes:
             for side, names in enumerate((node.publishes, node.takes)):
@@ -95,7 +95,7 @@ def read_graph(link: Link, scripts: PurePosixPath, found: Sequence[ObservablePro
             remarks.append(f"the ROS master {master} does not answer on the target: its topics are seen once observed")
         except (TypeError, ValueError, UsageError) as error:
             remarks.append(f"the ROS master {master} does not answer as one: {error}")
-    # One program of each domain.
+    # One program per domain.
     domains = {told.get((pid, _DOMAIN), "0"): pid for pid in reversed(pids[ROS2])}
     for domain, pid in domains.items():
         if time.monotonic() > end_s:
@@ -111,7 +111,7 @@ def read_graph(link: Link, scripts: PurePosixPath, found: Sequence[ObservablePro
 
 
 def _with(nodes: list[GraphNode], more: Iterable[GraphNode]) -> list[GraphNode]:
-    """Nodes, and those of one more master or domain. Raises UsageError where they are too many together."""
+    """Add the nodes of one more master or domain. Raises UsageError if there are too many in total."""
     together = [*nodes, *more]
     names = sum(len(node.publishes) + len(node.takes) + len(node.serves) for node in together)
     if len(together) > NODES_MAX or names > NAMES_MAX:
@@ -132,7 +132,7 @@ def _without_those_of_ros(node: GraphNode) -> GraphNode:
 
 
 def _environment(link: Link, pids: Iterable[int]) -> dict[tuple[int, str], str]:
-    """What processes were told about the graph that they belong to, by pid and variable."""
+    """The variables that tell processes which graph they belong to, by pid and name."""
     told = {}
     for line in link.check(["sh", "-c", _ASK_ENVIRONMENT, "sh", *map(str, pids)]).splitlines():
         match = re.fullmatch(r"(\d{1,7}) (\w{1,32})=(.{0,500})", line, re.ASCII)
@@ -144,9 +144,9 @@ def _environment(link: Link, pids: Iterable[int]) -> dict[tuple[int, str], str]:
 def _ask_master(link: Link, uri: str, pids: set[int], end_s: float) -> Iterator[GraphNode]:
     """The nodes of a ROS master on the target's loopback, with the pids of those that are observed.
 
-    Nodes that are not asked before `end_s`, of the monotonic clock, have none.
+    Nodes that are not asked before `end_s` (monotonic clock) have no pid.
 
-    Raises ConnectionRefusedError where none answers, ValueError or TypeError for what no master says.
+    Raises ConnectionRefusedError if no master answers, ValueError or TypeError if the answer is not that of a master.
     """
 
     def ask(port: int, method: str, *arguments: str) -> Any:
@@ -168,18 +168,18 @@ def _ask_master(link: Link, uri: str, pids: set[int], end_s: float) -> Iterator[
     for node, of_node in names.items():
         pid = None
         try:
-            # Each of many may let the runner wait.
+            # Every node may keep the runner waiting, and there may be many.
             own = urlsplit(str(ask(port, "lookupNode", node))).port if time.monotonic() < end_s else None
             pid = ask(own, "getPid") if own else None
         except (ConnectionRefusedError, TargetError, ValueError):
-            # It ended without a word, or is on another machine.
+            # The node ended without telling the master, or is on another machine.
             pid = None
-        # The port may be that of another node here.
+        # On this target the port may belong to another node.
         yield GraphNode(name=node, pid=pid if type(pid) is int and pid in pids else None, **of_node)
 
 
 def _join(link: Link, scripts: PurePosixPath, pid: int) -> list[GraphNode]:
-    """What a node of ROS 2 sees beside a program. Raises UsageError where none can be started there."""
+    """The nodes that a ROS 2 node sees in the domain of a program. Raises UsageError if it cannot be started there."""
     argv = ["python3", "-I", str(scripts / "ros2_graph.py"), str(pid), str(LOOK_S)]
     done = link.run(argv, deadline_s=ASK_S)
     if done.status != 0:

@@ -30,16 +30,16 @@ from rtrun.targets.errors import DeadlineExpired, TargetError
 from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.link import OUT_OF_REACH
 
-# Who interrupts a run after this share of the time that it should take, and so much more, may do it because it hangs.
+# After this multiple of its expected time plus this much, a run may have been interrupted because it hangs.
 HUNG_FACTOR = 2
 HUNG_EXTRA_S = 10.0
-# A run has some ten files for each of its programs. Of a folder with more than this the user is told.
+# A run has some ten files for each of its programs. The user is notified of a folder with more than this.
 FILES_USUAL = 10_000
 # For a folder with some million files.
 LISTING_S = 120.0
-# A lost link ends the input early: what is not whole does not get its name.
+# A lost link ends the input early: an incomplete file does not get its final name.
 _PUT = 'cat >"$1.new" && [ "$(wc -c <"$1.new")" -eq "$2" ] && mv "$1.new" "$1"'
-# Stands between the state of the target and the list of files.
+# Separates the state of the target from the list of files.
 _FILES = "== files"
 
 
@@ -54,10 +54,10 @@ def must_give_up(state: RunState, error: BaseException) -> bool:
 
 
 def why_given_up(state: RunState, error: BaseException, taken_s: float, total_s: float) -> str:
-    """What the journal says of an attempt that an error ended: by its first words (`GivenUp`) it is judged.
+    """The journal's reason for an attempt that an error ended; its first words (`GivenUp`) decide how it is judged.
 
-    It has taken `taken_s` of the `total_s` that it should take, in seconds. Who interrupts a run because it seems to
-    hang is not to profit from that.
+    The attempt has taken `taken_s` of the `total_s` that it should take, in seconds. Interrupting a run because it
+    seems to hang must not improve a result.
     """
     is_interrupted = isinstance(error, KeyboardInterrupt)
     if state in (RunState.LAUNCHING, RunState.MEASURING):
@@ -80,11 +80,11 @@ def measure(
     may_be_begun: bool,
     onlooker: Onlooker = NOBODY,
 ) -> RunRecord:
-    """Measure one run, or pick it up where an earlier call left it; return the record that `folder` is closed with.
+    """Measure one run, or resume one that an earlier call began; return the closing record of `folder`.
 
-    Of a run that observes there are further folders beside it, one for each stream; `onlooker` is told meanwhile.
-    Where `may_be_begun` is false, nobody looks for what an earlier call left. Raises TargetError when the target cannot
-    go on, TargetRebooted when this run was cut off by a restart. What was observed is kept before anything is raised.
+    An observation also writes one folder per stream next to `folder`, and keeps `onlooker` informed. Unless
+    `may_be_begun`, no earlier attempt is searched for. Raises TargetError when the target cannot go on, TargetRebooted
+    when a restart cut this run off. What was observed is kept before anything is raised.
     """
     remote = prepared.link.target.work_dir / "runs" / uid / run.name
     token = secrets.token_hex(4)
@@ -113,7 +113,7 @@ def _measure(work: ActiveRun, life: RunLife, now: Clock, *, may_be_begun: bool) 
         measured = subject_of(run).wait(work, life, not_started, now)
     except (KeyboardInterrupt, InfrastructureError) as error:
         if must_give_up(life.state, error):
-            # It is known what became of it, whoever is killed before all is ended there.
+            # Record the outcome first: the runner may be killed before everything on the target is ended.
             try:
                 reason = why_given_up(life.state, error, (now() - begun).total_seconds(), run.total_s)
                 life.move(RunEvent.GIVE_UP, reason)
@@ -123,7 +123,7 @@ def _measure(work: ActiveRun, life: RunLife, now: Clock, *, may_be_begun: bool) 
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
     aftermath = measured.aftermath
-    # Where nothing more is heard of the target, that much is known of how the run ended there.
+    # If the target does not answer any more, nothing else is known of how the run ended there.
     end = RunEnd(
         failure=not_started or measured.failure,
         exits=measured.exits,
@@ -145,7 +145,7 @@ def _measure(work: ActiveRun, life: RunLife, now: Clock, *, may_be_begun: bool) 
 
 
 def _close(work: ActiveRun, attempt: Attempt, end: RunEnd, aftermath: Aftermath, now: Clock) -> RunRecord:
-    """Close it. What was observed and cannot be kept where it was to be is kept in a new folder for temporary files."""
+    """Close the run. An observation that cannot be kept in its own folder is kept in a new temporary folder."""
     try:
         return close(work, attempt, end, aftermath.observed, now, aftermath.troubles)
     except (UsageError, InfrastructureError) as error:
@@ -183,21 +183,21 @@ def _resume(work: ActiveRun, life: RunLife) -> Attempt | None:
 
 
 def _why_left(work: ActiveRun, leftovers: Leftovers) -> str:
-    """What the journal says of an attempt that is not picked up; one of programs that ran already left nothing."""
+    """The journal's reason for an attempt that is not picked up. Observing programs that ran already leaves nothing."""
     if work.measuring and leftovers.started.isdisjoint(work.measuring):
         return GivenUp.NOT_MEASURED
     return f"{GivenUp.LEFT}: {leftovers.unreadable}" if leftovers.unreadable else GivenUp.LEFT
 
 
 def _give_up(work: ActiveRun) -> None:
-    """End all that runs of it, and remove its folder on the target."""
+    """End everything of the run that still lives, and remove its folder on the target."""
     if work.programs.system is not None:
         system.end(work.link, work.remote)
     processes.give_up(work.link, work.remote, work.programs.names)
 
 
 def _give_up_or_note(work: ActiveRun) -> None:
-    """Give it up, and say what stays on the target."""
+    """Give the run up, and report what stays on the target."""
     try:
         _give_up(work)
     except TargetError as left:
@@ -209,7 +209,7 @@ def _give_up_or_note(work: ActiveRun) -> None:
 def _start(work: ActiveRun, life: RunLife, now: Clock) -> tuple[Attempt, str | None]:
     """Start the background, then the suite; return why its measuring programs were not started, if so.
 
-    What is observed is started before the background: how it comes up under a load is no part of the run. Raises
+    A system to observe is started before the background: its start under a load is not part of the run. Raises
     TargetError when nothing can be measured.
     """
     life.move(RunEvent.BEGIN)
@@ -230,7 +230,7 @@ def _begin(work: ActiveRun, now: Clock) -> Attempt:
         raise TargetError(f"{work.link.target.address}: {work.service.name} died")
     state_script = work.prepared.scripts / "state.sh"
     if not work.programs.names:
-        # Nothing of it comes to the target, and no other run there is disturbed.
+        # The run puts nothing on the target, and disturbs no other run there.
         return resumption.without_folder(start_time.isoformat(), inspection.read_state(work.link, state_script))
     attempt = resumption.begin(
         work.link,
@@ -272,7 +272,7 @@ def _end_background(work: ActiveRun, measured: MeasuringEnd, not_started: str | 
         work.programs.load_names,
         work.programs.other_names,
         service=measured.service,
-        # Of what is observed nobody else tells when it is over: the end of the loads must not be seen.
+        # The sampler must not see the loads end, and in an observation nothing else marks the end of measuring.
         first=[work.programs.sampler.name] if work.programs.sampler and not work.programs.of_suite else [],
         then=[["sh", str(state_script)], ["echo", _FILES], download.listing(work.remote, limits)],
     )

@@ -13,11 +13,11 @@ from rtrun.plan.program import Program
 class SubjectPrograms:
     """The programs of the subject of a run, and what they may write.
 
-    `stages` are the programs of a suite in the order of their start: those of a stage when all before them are ready.
-    `system` is the program that starts the user's system, to observe it. `outputs` is what a suite writes, without
-    ending; `file_limits` are other files and their largest size, in bytes. `texts` are files that they read, by name:
-    they are put into the folder of the run on the target. `need_one_another`: no program of the suite has anything to
-    do once another one has failed.
+    `stages` are the programs of a suite in the order of their start: a stage starts when all programs before it are
+    ready. `system` is the program that starts the user's system, to observe it. `outputs` names what a suite writes,
+    without ending; `file_limits` are other files and their largest size, in bytes. `texts` are files that the programs
+    read, by name: they are put into the folder of the run on the target. `need_one_another`: if one program of the
+    suite fails, the others have nothing to do.
     """
 
     deadline_s: float
@@ -30,7 +30,7 @@ class SubjectPrograms:
 
     @property
     def foreground(self) -> tuple[Program, ...]:
-        """All of them."""
+        """All programs of the subject."""
         return (*(program for stage in self.stages for program in stage), *([self.system] if self.system else []))
 
 
@@ -42,21 +42,21 @@ class RunPrograms:
     stages: tuple[tuple[Program, ...], ...]
     background: tuple[conditions.Background, ...]
     sampler: Program | None
-    """What observes all that; None where the campaign has switched it off."""
+    """Observes all programs; None: the campaign has switched it off."""
     outputs: tuple[str, ...]
     file_limits: Mapping[str, int]
-    """The files that the run may write, and the largest size of each that is believable, in bytes."""
+    """The files that the run may write, and the largest plausible size of each, in bytes."""
     texts: Mapping[str, str]
     need_one_another: bool
 
     @property
     def measuring(self) -> tuple[Program, ...]:
-        """Those that start last; before they start nothing is measured."""
+        """The programs that start last; nothing is measured before."""
         return self.stages[-1] if self.stages else ()
 
     @property
     def awaited(self) -> tuple[Program, ...]:
-        """Those that start before, and without which the last ones have nothing to do."""
+        """The programs that start earlier; without them the last ones have nothing to do."""
         return tuple(program for stage in self.stages[:-1] for program in stage)
 
     @property
@@ -66,7 +66,7 @@ class RunPrograms:
 
     @property
     def foreground(self) -> tuple[Program, ...]:
-        """All that does not run in the background."""
+        """All programs that do not run in the background."""
         return self.of_suite if self.system is None else (self.system,)
 
     @property

@@ -1,4 +1,4 @@
-"""Streams that were measured become runs like any other: a run directory for each, and one for each that is missing."""
+"""Turn measured streams into runs like any other: a run directory for each, and one for each that is missing."""
 
 import contextlib
 import re
@@ -30,7 +30,7 @@ from rtrun.results.output import Uname
 from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
 from rtrun.targets.inspection.facts import TargetState, fact_text
 
-# A number and what tells streams apart, in a name that file systems take.
+# Characters of a folder's name: room for a number and what tells streams apart, and file systems take it.
 _NAME_MAX = 100
 _NAMES_SHOWN = 8
 # Parameters that name programs.
@@ -41,9 +41,9 @@ _PARTIES = ("publisher", "subscriber", "node", "sink")
 class StreamFacts:
     """What all streams of a run share.
 
-    `record` is that of the run whose streams they are, `trace` the limit above which it kept traces of them.
-    `parameters` are those that tell them from the streams of another run. `programs` finds the programs that parameters
-    of a stream name, of which it is told the keys.
+    `record` is the record of the run that has the streams, `trace` the limit above which it kept traces of them.
+    `parameters` tell them from the streams of another run. `programs` takes the parameters of a stream and the keys of
+    those that name programs, and finds these programs.
     """
 
     record: RunRecord
@@ -62,10 +62,10 @@ class StreamFacts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WrittenStreams:
-    """What was not written, a sentence each.
+    """What was not written, one sentence each.
 
-    `left_out` is of streams, `not_kept` of those that the disk did not take, `unseen` of deadlines of what was not
-    seen.
+    `left_out` tells what is missing in streams, `not_kept` the streams that could not be written, `unseen` the
+    deadlines whose stream was not seen.
     """
 
     left_out: tuple[str, ...]
@@ -81,11 +81,11 @@ def write_streams(
     *,
     keeps_what_fits: bool = False,
 ) -> WrittenStreams:
-    """Write a run for each stream beside `folder`, and one that failed for each deadline of what was not seen.
+    """Write a run for each stream next to `folder`, and a failed one for each deadline whose stream was not seen.
 
-    `late` has the late values of each stream by its source. Raises InfrastructureError where they cannot be written,
-    unless it `keeps_what_fits`: what was observed cannot be measured again, and a defect of ours in one stream is no
-    reason to lose the others.
+    `late` has the late values of each stream by its source. Raises InfrastructureError if a run cannot be written. With
+    `keeps_what_fits` it goes on instead: an observation cannot be measured again, and a defect of ours in one stream is
+    no reason to lose the others.
     """
     names: set[str] = set()
     not_kept: list[str] = []
@@ -108,10 +108,10 @@ def write_streams(
             continue
         deadline_ns = facts.deadline_ns(output)
         if deadline_ns is not None and is_late(stream.open_ns, deadline_ns):
-            # It is a miss whenever it comes.
+            # The value that is still open is a miss, whenever it comes.
             output = replace(output, asked=output.asked + 1, missing=output.missing + 1)
             left_out.append(f"{_in_words(stream)}: {stream.kind.overdue.format(time(stream.open_ns))}")
-        # Its values are in its run now, and all together may be more than the memory holds.
+        # The run of the stream has its values. Those of all streams may be more than the memory holds.
         outputs.append(replace(output, columns={}, traced=()))
         with _noting(noted, _in_words(stream)):
             _write_run(_beside(folder, output, facts.parameters, names), facts, output)
@@ -135,7 +135,7 @@ def write_streams(
 
 @contextlib.contextmanager
 def _noting(not_kept: list[str] | None, name: str) -> Iterator[None]:
-    """Note what cannot be kept, where there is a list for it."""
+    """Note what cannot be kept, if there is a list for it."""
     try:
         yield
     except InfrastructureError as error:
@@ -162,7 +162,7 @@ def put_aside(folder: Path) -> None:
 
 
 def _not_seen(deadline: StreamDeadline, outputs: Sequence[ObservedOutput]) -> str:
-    """That a stream with a deadline was not there, and which of its kind were."""
+    """Say that no stream with this deadline was seen, and which streams of its kind were."""
     seen = dict.fromkeys(
         str(output.parameters[deadline.stream.named_by]) for output in outputs if output.suite == deadline.stream.suite
     )
@@ -171,7 +171,7 @@ def _not_seen(deadline: StreamDeadline, outputs: Sequence[ObservedOutput]) -> st
 
 
 def _beside(folder: Path, output: ObservedOutput, shared: Mapping[str, Value], taken: set[str]) -> Path:
-    """A folder for a stream that no other has."""
+    """A folder for a stream, different from those of all others."""
     own = (str(value) for key, value in output.parameters.items() if key not in shared)
     words = [output.suite.removeprefix("observed_"), *own]
     plain = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(words)).strip("-")[:_NAME_MAX]
@@ -184,7 +184,7 @@ def _beside(folder: Path, output: ObservedOutput, shared: Mapping[str, Value], t
 
 
 def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> ObservedOutput | None:
-    """A stream as its samples hold it, with the traces of its late values; None where it has not one value."""
+    """A stream as its samples hold it, with the traces of its late values; None: it has no value."""
     columns: dict[str, Int64s] = dict(stream.columns)
     parameters: dict[str, Value] = {**stream.identity, **shared}
     first = next(iter(columns.values()))
@@ -210,7 +210,7 @@ def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> Ob
         missing=lost,
         duplicate=stream.counts.get("duplicate", 0),
         out_of_order=stream.counts.get("out_of_order", 0),
-        # Of what came more often than once in a nanosecond the times say nothing.
+        # With more than one value per nanosecond, the times tell no rate.
         rate_hz=(rows - 1) * 1e9 / passed_ns if rows > 1 and rows - 1 <= passed_ns else None,
         above_limit=late.above_limit,
         limit_ns=late.limit_ns,
@@ -219,7 +219,7 @@ def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> Ob
 
 
 def _traced(stream: Stream, kept: Sequence[LateValue]) -> Iterator[TracedValue]:
-    """The late values that have a trace, by the indices that they have in the samples."""
+    """The late values that have a trace, with their indices in the samples."""
     for one in kept:
         if not one.text:
             continue
@@ -246,9 +246,9 @@ def _row_at(times_ns: Int64s, at_ns: int) -> int | None:
 
 
 def _write_run(folder: Path, facts: StreamFacts, output: ObservedOutput, *, reason: str | None = None) -> None:
-    """Write and close the run of a stream; with a `reason` one that failed."""
+    """Write and close the run of a stream; with a `reason`, it has failed."""
     programs = facts.programs(output.parameters, _PARTIES)
-    # The program that has the values: of messages it is that of the subscriber.
+    # The program that has the values: for messages, that of the subscriber.
     measuring = facts.programs(output.parameters, ("subscriber",)) if "subscriber" in output.parameters else programs
     name = folder.name
     updated: dict[str, Any] = {
@@ -259,7 +259,7 @@ def _write_run(folder: Path, facts: StreamFacts, output: ObservedOutput, *, reas
         "deadline_ns": facts.deadline_ns(output),
         "programs": [*programs],
         "outputs": [name],
-        # Of what has no limit there are no traces.
+        # A stream without a limit has no traces.
         "trace": facts.trace if facts.trace == UNTRACED or output.limit_ns is not None else "",
     }
     if output.limit_ns is not None:

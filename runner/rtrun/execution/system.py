@@ -17,13 +17,13 @@ from rtrun.targets import processes
 from rtrun.targets.link import Link
 
 SYSTEM = "system"
-"""The name of the program of a run that runs the command."""
+"""The name of the program that runs the command."""
 # A launch file of a large robot takes a minute or two on a small board.
 READY_S = 180.0
-# A topic is looked for so long at a time: then there may be more programs, with other libraries.
+# How long to watch for a topic at a time: afterwards there may be more programs, with other libraries.
 LOOK_S = 5.0
 POLL_S = 0.5
-# The programs are given 17 s.
+# The programs themselves have 17 s to end.
 END_S = 60.0
 _NAMES_SHOWN = 8
 _RUN = 'cd "${HOME:-/}" || cd /; exec sh -c "$1"'
@@ -37,9 +37,9 @@ def program_of(command: str, deadline_s: float) -> Program:
 def wait_ready(
     link: Link, scripts: PurePosixPath, remote: PurePosixPath, plan: ObservationPlan, *, deadline_s: float = READY_S
 ) -> str | None:
-    """Wait until the system can be observed, and publishes the topic that it is to publish; return why it does not.
+    """Wait until the system can be observed and publishes its ready topic; return why it does not.
 
-    What runs already is ready when one of its programs can be observed.
+    A system that runs already is ready when one of its programs can be observed.
     """
     end_s = time.monotonic() + deadline_s
     topic = plan.system.ready_topic
@@ -81,9 +81,9 @@ def _never_ready(
 def _published(
     link: Link, scripts: PurePosixPath, watched: observation.Watched, own: tuple[ObservableProgram, ...], topic: str
 ) -> set[str]:
-    """The topics on which these programs are seen to publish, until it is the topic; none where no probe can be placed.
+    """The topics on which these programs publish, watched until `topic` is among them; none if there are no probes.
 
-    Of a program that began meanwhile nobody has asked yet whose it is.
+    Programs that began meanwhile do not count: it is not known yet whose they are.
     """
     published: set[str] = set()
     if not watched.placement.probes:
@@ -112,7 +112,7 @@ def _published(
 def end_of(link: Link, remote: PurePosixPath) -> str | None:
     """How the system ended, with its last word; None while it runs.
 
-    A command that ended well may leave the system running. One that failed, or lost its supervisor, is no system.
+    A command that succeeded may leave the system running. If it failed or lost its supervisor, the system has ended.
     """
     standing = processes.look(link, remote, SYSTEM)
     if standing.status is None and not standing.is_alone:
@@ -126,7 +126,7 @@ def end_of(link: Link, remote: PurePosixPath) -> str | None:
 
 
 def end(link: Link, remote: PurePosixPath) -> Exit:
-    """End what the command has started and still runs, and nothing else. Its exit status where it ended by itself."""
+    """End what the command has started and still runs, nothing else. Return its exit status if it ended on its own."""
     standing = processes.look(link, remote, SYSTEM)
     processes.end(link, remote, SYSTEM, stages=processes.LIKE_CTRL_C)
     return Exit(status=standing.status, expired=False)

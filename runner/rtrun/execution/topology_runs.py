@@ -46,7 +46,7 @@ from rtrun.results.topology_record import (
 from rtrun.targets.inspection.facts import TargetState
 
 PROGRAM = "topology_node"
-# The kernel cuts names of threads at so many characters.
+# The kernel cuts names of threads to this many characters.
 _THREAD_NAME_MAX = 15
 _POLICIES = {"0": "OTHER"}
 
@@ -93,7 +93,7 @@ def _file_limits(plan: TopologyPlan) -> dict[str, int]:
 
 
 def read_run(folder: Path, run: Run, topology: Topology) -> TopologyTables | str:
-    """Read what the processes of a topology have written, or say why it is none that counts."""
+    """Read what the processes of a topology have written, or say why it does not count."""
     try:
         tables = read_tables(folder, topology)
     except UsageError as error:
@@ -109,7 +109,7 @@ def read_run(folder: Path, run: Run, topology: Topology) -> TopologyTables | str
 
 
 def _wrong_fact(process: str, host: HostRecord, run: Run) -> str | None:
-    """Say what of the middleware is in effect, where a run asks for something else, or None."""
+    """Say which setting of the middleware is in effect if the run asks for another one, or None."""
     for key, fact in host.in_effect.facts.items():
         asked = run.parameters.get(key)
         if asked not in (None, "") and str(asked) != fact:
@@ -140,12 +140,12 @@ def _wrong_thread(topology: Topology, process: str, host: HostRecord) -> str | N
 def write(
     partial: Path, folder: Path, plan: TopologyPlan, record: RunRecord, state: TargetState, tables: TopologyTables
 ) -> RunRecord:
-    """Write a run for each stream of a topology beside `folder`, and topology.json into `partial`.
+    """Write a run for each stream of a topology next to `folder`, and topology.json into `partial`.
 
-    Returns the record that the run itself is closed with. Raises InfrastructureError where they cannot be written.
+    Returns the closing record of the run itself. Raises InfrastructureError if something cannot be written.
     """
     programs = [_program(each, tables) for each in record.programs]
-    # Its streams are of the same time: as of an observation, that has passed once.
+    # All its streams were measured at the same time, so that time counts once, as in an observation.
     record = record.model_copy(update={"programs": programs, "subject": "attached"})
     written = write_streams(
         folder,
@@ -156,7 +156,7 @@ def write(
             end_time=record.end_time,
             deadlines=plan.deadlines,
             programs=functools.partial(_programs, plan.topology, programs),
-            # What says nothing of it was measured through the usual one.
+            # A run that names no middleware was measured through the usual one.
             parameters={**record.parameters, "middleware": middleware_of(record.suite, record.parameters)},
         ),
         list(topology_streams(tables, plan)),
@@ -177,7 +177,7 @@ def _program(program: ProgramRecord, tables: TopologyTables) -> ProgramRecord:
 def _programs(
     topology: Topology, programs: Sequence[ProgramRecord], parameters: Mapping[str, Value], parties: Sequence[str]
 ) -> Sequence[ProgramRecord]:
-    """The programs that host the nodes which parameters of a stream name."""
+    """The programs that host the nodes named by a stream's parameters."""
     nodes = {str(parameters.get(key) or "").removeprefix("/") for key in parties}
     nodes |= {topology.publisher[topic].name for topic in str(parameters.get("path") or "").split(",") if topic}
     hosts = {host_name(topology.executor[topology.node[name].executor].process) for name in nodes if name}
@@ -185,7 +185,7 @@ def _programs(
 
 
 def figures(tables: TopologyTables, plan: TopologyPlan) -> TopologyRecord:
-    """What became of each node, hop and path."""
+    """The figures of each node, hop and path."""
     return TopologyRecord(
         schema=1,
         topology=tables.topology,

@@ -13,7 +13,7 @@ from rtrun.results.record import RunStatus, read_record
 
 
 def with_threshold_of_warm_up(run: Run, results: Path) -> Run:
-    """The run with its threshold, or as it is where its limit needs no warm-up. Raises UsageError without a warm-up."""
+    """The run with its threshold, or unchanged if its limit needs no warm-up. Raises UsageError if that is missing."""
     part = quantile(run.trace)
     if part is None or run.subject.is_observed:
         return run

@@ -1,1 +1,1 @@
-"""Which messages, timers and callbacks were there? Read from the hits of probes."""
+"""Which messages, timers and callbacks were there? The hits of probes show them."""

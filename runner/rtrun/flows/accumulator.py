@@ -1,4 +1,4 @@
-"""From the hits of probes to messages, timers, callbacks and paths, while they come in."""
+"""From the hits of probes to messages, timers, callbacks and paths, while the hits come in."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from operator import itemgetter
@@ -21,13 +21,13 @@ HORIZON_NS = 10 * 10**9
 class FlowAccumulator:
     """Reads messages, timers, callbacks and paths from hits, about once a second for hours.
 
-    `observe` is told the programs that run before their hits are fed, `offset` how other clocks lie, and `feed` the
-    hits. Hits of a feed are later than those of the feeds before it, and a gap comes no later than the hits after it.
-    `begin_ns` is when the probes were there.
+    `observe` takes the programs that run, before their hits are fed; `offset` takes the offsets of other clocks; `feed`
+    takes the hits. Hits of a feed are later than those of the feeds before it, and a gap comes no later than the hits
+    after it. `begin_ns` is when the probes were placed.
 
-    A publication that nobody took within `horizon_ns` is forgotten: what takes it later is unmatched. `paths` are
+    A publication that nobody took within `horizon_ns` is forgotten; a later reception of it is unmatched. `paths` are
     topics in the order of their messages. What is finished goes to the `store`, 48 bytes a message, 16 a call.
-    `on_turn` is told what each thread had to do, once its end is known, or that it is not.
+    `on_turn` is called with each turn of a thread, once its end is known, or once it is clear that it was not seen.
     """
 
     def __init__(
@@ -61,9 +61,9 @@ class FlowAccumulator:
         }
 
     def observe(self, programs: Iterable[ObservedProgram]) -> None:
-        """These are the programs now, all of them: others have ended, and a pid may be that of a new one."""
+        """Take all programs that run now: others have ended, and a pid may belong to a new program."""
         self._programs.observe(programs)
-        # Of several with one name, the one that began first has the first number, whoever is heard of first.
+        # Of programs with the same name, the one that began first gets the first number, whichever has a hit first.
         begun = [
             (process.program.start_ticks, pid, process)
             for pid, process in self._programs.processes.items()
@@ -73,14 +73,14 @@ class FlowAccumulator:
             self.state.label(process, process.label)
 
     def offset(self, clock: str, at_ns: int, offset_ns: int) -> None:
-        """A clock other than that of the hits was `offset_ns` ahead of it at a time on that; ``system`` is realtime."""
+        """Another clock was `offset_ns` ahead of the hits' clock when that showed `at_ns`; ``system`` is realtime."""
         self.state.offsets_ns[clock] = offset_ns
         self.offsets.add(clock, at_ns, offset_ns)
 
     def feed(self, items: Iterable[Hit | Gap]) -> None:
-        """Read hits, and gaps between them, in any order among themselves. A hit that comes too late makes a gap.
+        """Read hits, and gaps between them, in any order within this feed. A hit that comes too late makes a gap.
 
-        Raises NoRoom where more was measured than may be kept.
+        Raises NoRoom if more was measured than may be kept.
         """
         handlers, thread_of, state, turns = self._handlers, self._programs.thread, self.state, self.turns
         topics = self.topics
@@ -91,7 +91,7 @@ class FlowAccumulator:
                 continue
             at_ns = item.at_ns
             if at_ns < self.newest_ns and not is_late:
-                # The others that come too late are within the gap that the first of them makes.
+                # Further late hits are within the gap that the first one makes.
                 is_late = True
                 self._cut(Gap(at_ns, self.newest_ns, "hits came out of order", GapCause.EVENTS_LOST))
             if at_ns < state.blind_until_ns:
@@ -114,12 +114,12 @@ class FlowAccumulator:
         state.store.ease()
 
     def finish(self, until_ns: int = 0) -> None:
-        """No more hits come, there were none until then: what waited for later ones is decided."""
+        """End the feeds; there were no more hits until `until_ns`. Decide what waited for later hits."""
         self.until_ns = max(self.newest_ns, until_ns)
         self.topics.cut()
 
     def open_calls(self) -> Iterator[tuple[CallbackLog, int]]:
-        """The callbacks that have begun and not ended, of threads that live, and since when."""
+        """The callbacks of living threads that have begun and not ended, and when they began."""
         for thread in self._programs.threads.values():
             if thread.is_alive and thread.callbacks:
                 opened = thread.callbacks[-1]
@@ -129,7 +129,7 @@ class FlowAccumulator:
     def _cut(self, gap: Gap) -> None:
         self.gaps.append(gap)
         if len(self.gaps) > self._join_from:
-            # They are to be twice as many before it is done again.
+            # Gaps are joined again only when there are twice as many.
             self.gaps = joined(self.gaps)
             self._join_from = 2 * max(GAPS_MAX, len(self.gaps))
         self.state.cut(gap.until_ns)

@@ -1,4 +1,4 @@
-"""Timers and callbacks: what hits of their calls say."""
+"""Timers and callbacks: what the hits of their calls show."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from rtrun.flows.timers import LEAST_CALLS, TIMERS, LivingTimer, TimerLog
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.probes.hits import Hit
 
-_NESTED_MAX = 64  # callbacks in one another: more were left by exceptions, and never end
+_NESTED_MAX = 64  # callbacks within one another: with more, exceptions left them, and they never end
 
 
 class CallRecord:
@@ -19,9 +19,9 @@ class CallRecord:
 
     def __init__(self, state: ObservationState, recorder: FlowRecorder | None) -> None:
         self.timers: dict[tuple[str, int | None, str | None, int], TimerLog] = {}
-        """By label, period, clock and number among those that are alike in these."""
+        """By label, period, clock, and number among timers with the same three."""
         self.callbacks: dict[tuple[str, str, int, int], CallbackLog] = {}
-        """By label, subject, number among the callbacks that are alike in these, and number of the thread."""
+        """By label, subject, number among callbacks with the same two, and number of the thread."""
         self.handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
             "callback_begin": self._begin,
             "callback_end": self._end,
@@ -69,7 +69,7 @@ class CallRecord:
         timer = TIMERS.of(thread.process).get(values.get("timer", ""))
         period_ns = values.get("period_ns")
         if timer is None or (period_ns is not None and timer.period_ns not in (None, period_ns)):
-            # A timer that is given another period is another one from then on.
+            # A timer with a new period counts as another timer from then on.
             timer = self._made(hit, thread)
             if timer is None:
                 thread.does_other_work()
@@ -107,7 +107,7 @@ class CallRecord:
     # Callbacks.
 
     def _link_subscription(self, hit: Hit, thread: ObservedThread) -> None:
-        """rclcpp makes an object of its own for a subscription of rcl."""
+        """rclcpp made its own object for a subscription of rcl."""
         thread.does_other_work()
         subscriptions, handle = SUBSCRIPTIONS.of(thread.process), hit.values.get("object")
         endpoint = subscriptions.get(hit.values.get("subscription", ""))
@@ -115,7 +115,7 @@ class CallRecord:
             subscriptions[handle] = endpoint
 
     def _add_callback(self, hit: Hit, thread: ObservedThread) -> None:
-        """A timer or subscription is given a callback."""
+        """A timer or subscription gets a callback."""
         thread.does_other_work()
         handle = hit.values.get("callback")
         if handle is None:
@@ -154,7 +154,7 @@ class CallRecord:
         thread.cause = None
         handle = hit.values.get("callback")
         opened = None
-        # Those above it ended by an exception.
+        # The callbacks above it ended by an exception.
         while thread.callbacks and opened is None:
             opened = thread.callbacks.pop()
             if handle is not None and CALLBACKS.of(thread.process).get(handle) is not opened.callback:
@@ -201,7 +201,7 @@ class CallRecord:
 
 
 def _named(label: str, owner: LivingThing | None) -> tuple[str, str]:
-    """The label of a callback's node, that of its process where its owner is not known, and its topic or timer."""
+    """The label of a callback's node (of its process, if its owner is not known), and its topic or timer."""
     if isinstance(owner, LivingTimer) and owner.log is not None:
         return owner.log.label, numbered(owner.log.name, owner.log.number)
     if isinstance(owner, Endpoint):

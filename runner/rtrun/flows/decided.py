@@ -1,4 +1,4 @@
-"""What became of the messages of a pair, in numbers that add up, and the columns of those that were received."""
+"""What became of the messages of a pair, in numbers that add up, and the columns of the received ones."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ _ONES = np.unpackbits(np.arange(256, dtype=np.uint8)[:, np.newaxis], axis=1).sum
 class PairCounts:
     """What became of the messages of a publisher at a subscriber.
 
-    published = received + lost + ambiguous + undecided. Lost are those between the first and the last received one that
-    were never received, and were overtaken longer ago than any took to come. Undecided are those before the first and
-    after the last, and so before and after gaps and restarts: they may be on their way, or nobody was there. Each that
-    was ambiguous is here by its publication, not by its reception.
+    published = received + lost + ambiguous + undecided. A lost message lies between the first and the last received
+    one, was never received, and was overtaken longer ago than any message took to come. Undecided messages lie before
+    the first and after the last, and so before and after gaps and restarts: they may be on their way, or nobody was
+    there. Ambiguous messages are counted by their publications, not by their receptions.
     """
 
     published: int
@@ -34,7 +34,7 @@ class PairCounts:
 
 
 class DecidedMessages:
-    """Which messages of a pair are known to be received or lost, a bit for each that was published."""
+    """Which messages of a pair are known to be received or lost, a bit for each published message."""
 
     def __init__(self, pair: MessagePair) -> None:
         self._pair = pair
@@ -55,7 +55,7 @@ class DecidedMessages:
         self._before -= _ONES[self._bits]
 
     def counts(self) -> PairCounts:
-        """Of all messages."""
+        """The counts of all messages."""
         pair = self._pair
         received, ambiguous, published = len(pair.rows), len(pair.ambiguous), len(pair.publisher.times)
         out_of_order, last = 0, np.empty(0, np.int64)
@@ -74,7 +74,7 @@ class DecidedMessages:
         )
 
     def columns(self, store: RowStore) -> dict[str, Int64s]:
-        """The columns of its stream, in the order of reception; int64 of shape (received,). Raises NoRoom."""
+        """The columns of the pair's stream, in the order of reception; int64 of shape (received,). Raises NoRoom."""
         is_ended = any(np.any(piece[:, CALLBACK_END] != NOT_SEEN_NS) for piece in self._pair.rows.pieces())
         names = ("publication_ns", "reception_ns", "seq", "callback_end_ns")[: 3 + is_ended]
         return dict(zip(names, collected(store.folder, self._pieces(len(names)), len(names)), strict=True))
@@ -85,7 +85,7 @@ class DecidedMessages:
             yield (piece[:, PUBLISHED], piece[:, RECEIVED], numbers, piece[:, CALLBACK_END])[:count]
 
     def _number(self, indices: Int64s) -> Int64s:
-        """How many before each publication are received or lost."""
+        """How many messages before each publication are received or lost."""
         byte, bit = indices >> 3, indices & 7
         before_in_byte = _ONES[self._bits[byte] & (0xFF00 >> bit & 0xFF)]
         numbers: Int64s = self._before[byte].astype(np.int64) + before_in_byte
@@ -93,7 +93,7 @@ class DecidedMessages:
 
 
 def _overtaken(pair: MessagePair) -> Iterator[tuple[int, int]]:
-    """First index, and the one behind the last, of what was received or lost between two others, link by link."""
+    """The index range (first, end) of the messages of each link that are received or lost."""
     link, longest_ns = pair.link, pair.longest_ns
     for piece in pair.links.pieces():
         yield from _of_links(piece, pair.publisher.times, longest_ns)
@@ -103,7 +103,7 @@ def _overtaken(pair: MessagePair) -> Iterator[tuple[int, int]]:
 
 
 def _of_links(links: Int64s, sent: Rows, longest_ns: int) -> Iterator[tuple[int, int]]:
-    # One that was overtaken may still come for as long as any has taken.
+    # An overtaken message may still come for as long as any message has taken.
     before_ns = links[:, 2] - longest_ns
     fresh = np.zeros(len(links), np.int64)
     begin, end = (sent.first_after(int(at_ns)) for at_ns in (before_ns.min(), before_ns.max()))

@@ -1,4 +1,4 @@
-"""What threatens the real time of programs that run already: how their threads are scheduled, and their memory."""
+"""What threatens the deadlines of running programs: how their threads are scheduled, and their memory."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,7 +10,7 @@ _NAMED_MAX = 4
 
 
 def hazards(programs: Sequence[ObservedProgram], *, with_pids: bool = True) -> tuple[str, ...]:
-    """A sentence for each thing that may delay some of these programs, with their names, and perhaps their pids."""
+    """A sentence for each thing that may delay some of these programs, with their names and, if asked, their pids."""
     threatened: dict[str, list[str]] = {}
     for program in programs:
         for text in _of(program, programs):
@@ -43,7 +43,7 @@ def _is_real_time(thread: ProgramThread) -> bool:
 
 
 def _may_delay(other: ProgramThread, thread: ProgramThread) -> bool:
-    """Whether another thread goes before a real-time one where both may run."""
+    """Whether another thread comes before a real-time one on a CPU that both may use."""
     if not _is_real_time(thread) or thread.policy == "DEADLINE" or not set(other.cpus) & set(thread.cpus):
         return False
     return other.policy == "DEADLINE" or (_is_real_time(other) and other.priority > thread.priority)

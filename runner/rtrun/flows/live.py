@@ -1,4 +1,4 @@
-"""What is measured, as it stands now: figures of every stream, renewed from what came since the last time."""
+"""The figures of every stream as they are now, updated with what came since the last time."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ _BINS_OF_OCTAVE = 64
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LiveRow:
-    """Figures of one stream since the begin; None where there is no value. `name` and `of` are printable.
+    """Figures of one stream since the begin; None if there is no value. `name` and `of` are printable.
 
-    Median and p99 are at most 1.6 % too high, the others exact. `rate_hz` is since the last snapshot; `lost` may still
-    fall, as a message comes late.
+    Median and p99 are at most 1.6 % too high, the others are exact. `rate_hz` is since the last snapshot. `lost` may
+    still fall when a message comes late.
     """
 
     kind: StreamKind
@@ -51,12 +51,12 @@ class Snapshot:
 
 
 class BinnedValues:
-    """Figures of values that come in pieces: they are counted in bins, 64 for each doubling."""
+    """Figures of values that come in pieces: the values are counted in bins, 64 for each doubling."""
 
     def __init__(self) -> None:
         self.n = self.misses = 0
         self.worst_ns: int | None = None
-        # Those with values alone: there may be thousands of streams.
+        # Only bins with values are kept: there may be thousands of streams.
         self._bins: Int64s = np.empty(0, np.int64)
         self._counts: Int64s = np.empty(0, np.int64)
 
@@ -85,7 +85,7 @@ class BinnedValues:
 
 @dataclass(slots=True)
 class _Shown:
-    """A stream that is shown: its figures, and how many of its rows are in them, and were at the last snapshot."""
+    """A shown stream: its figures, how many rows are in them, and how many rows it had at the last snapshot."""
 
     figures: BinnedValues
     rows: int = 0
@@ -94,9 +94,9 @@ class _Shown:
 
 @dataclass(frozen=True, slots=True)
 class NewValues:
-    """What a stream received since the last snapshot: values and when each was there, int64 (n,); figures without them.
+    """What a stream received since the last snapshot: the values and when each was there, int64 (n,).
 
-    `source` is that of its Stream.
+    `before` are the figures without them, `source` is that of the Stream.
     """
 
     source: object
@@ -173,7 +173,7 @@ class LiveFigures:
 
 
 def gaps_in_words(gaps: Sequence[Gap]) -> str:
-    """How many there were, of what time, and why."""
+    """How many gaps there were, how long they were together, and why."""
     reasons = ", ".join(dict.fromkeys(gap.reason for gap in gaps))
     together_s = covered_ns((gap.from_ns, gap.until_ns) for gap in gaps) / 1e9
     return printable(f"{counted(len(gaps), 'gap')} of {together_s:.3g} s together: {reasons}")

@@ -1,10 +1,10 @@
 """Which publication a received message is: by the time stamp of its source, or by its first bytes and length.
 
-A stamp names one message; the same bytes may be published again. So bytes are matched where order alone decides it:
-from a moment on at which none of these bytes can have been on their way, as many were received as were published.
-Three things are taken for granted: nothing is on its way for longer than the horizon; no program that is not observed
-publishes the same bytes on a topic as one that is; a publisher whose last hundred messages were unlike each other did
-not publish the same bytes while nobody saw it.
+A stamp names one message; the same bytes may be published again. So bytes are matched only if their order decides it:
+as many messages were received as were published since a moment at which none of them can have been on their way.
+Three things are taken for granted. Nothing is on its way for longer than the horizon. No unobserved program publishes
+the same bytes on a topic as an observed one. A publisher whose last hundred messages all differed did not publish the
+same bytes while it was not seen.
 """
 
 from collections import deque
@@ -15,23 +15,23 @@ from typing import Protocol
 from rtrun.flows.messages import End, Payload, Publication, Reception
 from rtrun.flows.observation_state import ObservationState
 
-# A stamp is carried as a fraction of a second with 32 bits, and comes out a nanosecond beside what went in.
+# A stamp travels as a fraction of a second with 32 bits, and may come out a nanosecond or two off.
 _STAMP_ROUNDING_NS = (-2, -1, 1, 2)
-# Of one time stamp; of a stamp that a thousand publications share each reception would have to look at all.
+# How many publications of one time stamp are kept: each reception has to look at all of them.
 _ALIKE_MAX = 64
-# So many messages in a row have to be unlike each other. At 10 Hz they are within the horizon.
+# How many messages in a row have to differ from each other. At 10 Hz they are within the horizon.
 _UNLIKE_MIN = 100
 # Times of a realtime clock, 2014 to 2039: no part of a double that anyone sends looks like them.
 _REALTIME_S = range(1_400_000_000, 2_200_000_000)
 
 
 def has_header(payload: Payload) -> bool:
-    """Whether a message begins as one with a header does: a number, and the time at which it was made."""
+    """Whether a message begins like a header: with a number, and the time at which it was made."""
     return payload[0] >> 32 in _REALTIME_S and payload[1] < 10**9
 
 
 class Fates(Protocol):
-    """Who is told what became of a received message."""
+    """The receiver of the outcomes: what became of a received message, or of a forgotten publication."""
 
     def matched(self, reception: Reception, publication: Publication) -> None: ...
     def ambiguous(self, reception: Reception, candidates: Sequence[Publication]) -> None: ...
@@ -53,7 +53,7 @@ class StampMatching:
     def publish(self, key: int, publication: Publication) -> None:
         self.expire(publication.at_ns)
         if (others := self._open.get(key)) is not None:
-            # Which one is received is not known of two already.
+            # With two of them, it is already unknown which one is received.
             if len(others) >= _ALIKE_MAX:
                 self._fates.forgotten(publication)
                 return
@@ -93,7 +93,7 @@ class StampMatching:
         return len(self._oldest)
 
     def cut(self) -> None:
-        """Forget everything: what comes next may not be joined with what was."""
+        """Forget everything: what comes next must not be joined with what came before."""
         for publications in self._open.values():
             for publication in publications:
                 self._fates.forgotten(publication)
@@ -104,9 +104,9 @@ class StampMatching:
 class _SameBytes:
     """The publications with one payload, and the receptions of it that are not matched yet, by subscriber.
 
-    `is_early`: one from before the begin may have been on its way when it was first seen. So a match is `held` until
-    the payload was not seen again for the horizon, and is none where its publisher repeats itself. `is_unclear`, or a
-    subscriber in `unclear`: order decides nothing.
+    `is_early`: when the payload was first seen, a message from before the begin may have been on its way. So a match is
+    `held` until the payload was not seen again for the horizon; it does not count if the publisher repeats itself.
+    `is_unclear` for all subscribers, or those in `unclear`: order decides nothing.
     """
 
     __slots__ = ("done", "held", "is_early", "is_unclear", "last_ns", "published", "unclear", "waiting")
@@ -119,7 +119,7 @@ class _SameBytes:
         self.waiting: dict[End, list[Reception]] = {}
         self.unclear: frozenset[End] = frozenset()
         self.done: dict[End, int] = {}
-        """How many of those published no longer can be what a subscriber receives."""
+        """How many of the published messages a subscriber can no longer receive."""
         self.held: dict[End, tuple[Reception, Publication]] = {}
 
 
@@ -133,7 +133,7 @@ class PayloadMatching:
         self._open: dict[Payload, _SameBytes] = {}
         self._oldest: deque[tuple[int, Payload]] = deque()
         self._unlike: dict[End, int] = {}
-        """Of each publisher: how many messages in a row were unlike all of the horizon before them."""
+        """For each publisher: how many messages in a row differed from all others within the horizon before them."""
 
     def publish(self, key: Payload, publication: Publication) -> None:
         same = self._seen(key, publication.at_ns)
@@ -149,13 +149,13 @@ class PayloadMatching:
         candidates = len(same.published) - same.done.get(end, 0)
         begin_ns = reception.endpoint.begin_ns
         if begin_ns is not None and same.published and same.published[-1].at_ns < begin_ns:
-            # It was not there yet: a publisher that latches its last message gives that to whoever comes later.
+            # The subscriber was not there yet: a publisher that latches its last message sends it to later subscribers.
             if end in same.waiting:
                 self._give_up(same, end, same.waiting.pop(end))
             same.done[end] = len(same.published)
             self._fates.historic(reception)
         elif not candidates:
-            # Of a publisher that is not observed, or published before: so may be the next ones with these bytes.
+            # From an unobserved publisher, or published before. The same may hold for the next ones with these bytes.
             self._fates.unmatched(reception)
             self._make_unclear(same)
         elif same.is_unclear or end in same.unclear:
@@ -186,14 +186,14 @@ class PayloadMatching:
         begin_ns = self._state.blind_until_ns
         if at_ns >= begin_ns + self._horizon_ns:
             return False
-        # Bytes that begin with the time at which they were made, or have it behind a number, were not made before.
+        # Bytes that begin with the time at which they were made, or have it after a number, were not made before it.
         words = key[0] & 0xFFFFFFFF, key[0] >> 32, key[1]
         times = [second * 10**9 + nanosecond for second, nanosecond in pairwise(words) if nanosecond < 10**9]
         offsets = self._state.offsets_ns.values()
         return not any(begin_ns <= time_ns - offset_ns <= at_ns for time_ns in times for offset_ns in offsets)
 
     def _resolve(self, same: _SameBytes, end: End) -> None:
-        """As many were received as were published: each is the one at its place, if one publisher sent them all."""
+        """As many were received as published: match them in order, if one publisher sent them all."""
         candidates = same.published[same.done.get(end, 0) :]
         if len({publication.endpoint for publication in candidates}) > 1:
             self._give_up(same, end, same.waiting.pop(end))
@@ -211,7 +211,7 @@ class PayloadMatching:
             self._give_up(same, end, same.waiting.pop(end))
 
     def _give_up(self, same: _SameBytes, end: End, receptions: Sequence[Reception]) -> None:
-        """Any of the open publications may be any of these."""
+        """Report as ambiguous: any of the open publications may be any of these."""
         candidates = same.published[same.done.get(end, 0) :]
         same.unclear |= {end}
         same.done[end] = len(same.published)
@@ -248,7 +248,7 @@ class PayloadMatching:
         self._fates.forgotten(publication)
 
     def _settle(self, same: _SameBytes) -> None:
-        """Decide what may be decided of a payload that is not seen any more."""
+        """Decide what can be decided about a payload that is not seen any more."""
         for reception, publication in same.held.values():
             self._decide(reception, publication)
         for end in [*same.waiting]:
@@ -257,7 +257,7 @@ class PayloadMatching:
             self._fates.forgotten(publication)
 
     def _decide(self, reception: Reception, publication: Publication) -> None:
-        """Of what was held: it may have been published before the begin as well, and this one lost."""
+        """Decide a match that was held: an earlier message may have come instead, and this one may be lost."""
         if self._unlike.get(publication.endpoint.end, 0) >= _UNLIKE_MIN:
             self._fates.matched(reception, publication)
         else:
@@ -269,9 +269,9 @@ class PayloadMatching:
         return len(self._oldest)
 
     def cut(self) -> None:
-        """Forget everything: what comes next may not be joined with what was."""
+        """Forget everything: what comes next must not be joined with what came before."""
         for same in self._open.values():
-            # Whether what is held would have come again is not known.
+            # It is not known whether the held messages would have come again.
             self._make_unclear(same)
             self._settle(same)
         self._open.clear()

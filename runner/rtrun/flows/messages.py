@@ -8,14 +8,14 @@ from rtrun.flows.rows import RowStore
 from rtrun.kinds.messages import NOT_SEEN_NS
 
 Payload = tuple[int, int, int]
-"""What tells messages of roscpp from one another: the first eight bytes, the next four, and the length."""
+"""What tells messages of roscpp apart: the first eight bytes, the next four, and the length."""
 
 
 class End:
     """One end of a topic, over all restarts of its program: a publisher, or a subscriber.
 
-    Of what a subscriber takes each is either received, a duplicate, ambiguous, historic (published before the
-    subscriber was there), unmatched, or not decided yet. `forgotten` publications nobody was seen to take.
+    Each message that a subscriber takes is either received, a duplicate, ambiguous, historic (published before the
+    subscriber was there), unmatched, or not decided yet. `forgotten` counts publications that nobody was seen to take.
     """
 
     __slots__ = (
@@ -51,7 +51,7 @@ class Endpoint(LivingThing):
         super().__init__(process)
         self.topic = topic
         self.begin_ns = begin_ns
-        """When it was made, where that was seen."""
+        """When it was made, if that was seen."""
         self.end: End
 
 
@@ -61,7 +61,7 @@ SUBSCRIPTIONS = HandleTable[Endpoint]()
 
 
 class Publication:
-    """One call of publish. `begins` are the times at which the paths began that it is on, by path and place."""
+    """One call of publish. `begins`: when each path that it is on began, by path and place."""
 
     __slots__ = ("at_ns", "begins", "cpu", "endpoint", "index", "takers", "tid")
 
@@ -76,7 +76,7 @@ class Publication:
 
 
 class Reception:
-    """One message that a subscriber took; `publication` once it is known, `end_ns` when its callback has ended."""
+    """One message that a subscriber took; `publication` is set once known, `end_ns` once its callback has ended."""
 
     __slots__ = ("at_ns", "cpu", "end_ns", "endpoint", "pair", "publication", "row", "tid")
 
@@ -97,16 +97,16 @@ class Reception:
             self.pair.rows.put(self.row, CALLBACK_END, at_ns)
 
 
-# Of all publications that are remembered. One reception may be of any of thousands that are alike.
+# The takers of all remembered publications. One reception may belong to any of thousands of equal publications.
 TAKERS_MAX = 400_000
 # The columns of the rows of a pair.
 PUBLISHED, RECEIVED, CALLBACK_END, INDEX = range(4)
 
 
 class LinkedTime:
-    """The messages of a pair in a time without a gap and without a restart.
+    """The messages of a pair in a period without a gap and without a restart.
 
-    `first` and `last` are the lowest and highest index that was received, `until_ns` when the latest one was.
+    `first` and `last` are the lowest and the highest index received, `until_ns` is the time of the latest reception.
     """
 
     __slots__ = ("epoch", "first", "last", "publisher", "subscriber", "until_ns")
@@ -119,15 +119,15 @@ class LinkedTime:
         self.until_ns = 0
 
     def is_of(self, publisher: Endpoint, subscriber: Endpoint, epoch: int) -> bool:
-        """Whether a message of these belongs to it."""
+        """Whether a message between these endpoints, in this epoch, belongs to it."""
         return self.publisher is publisher and self.subscriber is subscriber and self.epoch == epoch
 
 
 class MessagePair:
     """The messages of a publisher that a subscriber took, over all restarts of both.
 
-    `rows` are those that were received, by the columns above; `links` are first, last and `until_ns` of each time
-    before that of `link`.
+    `rows` are the received messages, by the columns above. `links` has first, last and `until_ns` of each period before
+    that of `link`.
     """
 
     __slots__ = ("_linked", "ambiguous", "duplicates", "link", "links", "publisher", "rows", "subscriber")
@@ -163,24 +163,24 @@ class MessagePair:
 
     @property
     def longest_ns(self) -> int:
-        """How long a message took at most; 0 where none came."""
+        """How long a message took at most; 0 if none came."""
         return max((int((piece[:, RECEIVED] - piece[:, PUBLISHED]).max()) for piece in self.rows.pieces()), default=0)
 
     @property
     def lost_so_far(self) -> int:
-        """About how many are lost, found quickly."""
+        """A quick estimate of how many are lost."""
         decided = self._linked + (self.link.last - self.link.first + 1 if self.link else 0)
         return max(0, decided - len(self.rows) - len(self.ambiguous))
 
 
 class MessageRecord:
-    """The pairs of an observation, told by the matching what became of each message."""
+    """The pairs of an observation; the matching tells it what became of each message."""
 
     def __init__(self, state: ObservationState) -> None:
         self._state = state
         self.pairs: dict[tuple[End, End], MessagePair] = {}
         self.takers = 0
-        """Of all publications that are remembered."""
+        """The takers of all remembered publications."""
         self._links_epoch = 0
 
     @property

@@ -1,4 +1,4 @@
-"""What all that reads hits needs to know of the observation so far."""
+"""The state of an observation that every reader of hits needs."""
 
 from collections.abc import Mapping
 
@@ -10,32 +10,32 @@ FAULT = "(fault)"
 """The kernel's word for a text that it could not read."""
 
 
-# All that are measured, and all that lives: processes, threads, publishers, subscriptions, timers, callbacks, names. A
-# large robot has some thousand of each.
+# Limits for measured streams, and for living things: processes, threads, publishers, subscriptions, timers, callbacks,
+# names. A large robot has some thousand of each.
 STREAMS_MAX = 10_000
 THINGS_MAX = 50_000
-# Of names with what is needed to number them, and pids that had one, of those that have ended, too.
+# How many pairs of a label and a pid are kept, including those of ended processes.
 LABELS_MAX = 50_000
 
 
 class ObservationState:
-    """Where an observation stands. `epoch` counts the gaps: what was seen in two epochs may not be joined."""
+    """Where an observation stands. `epoch` counts the gaps: what was seen in two epochs must not be joined."""
 
     def __init__(self, begin_ns: int, store: RowStore) -> None:
         self.epoch = 0
         self.store = store
-        """Of all that is measured."""
+        """The rows of everything that is measured."""
         self.blind_until_ns = begin_ns
         """The end of the last gap, or the begin."""
         self.numbering = Numbering()
         self.pids: dict[str, set[int]] = {}
-        """Of the processes that had a label."""
+        """The pids of the processes that had a label."""
         self.offsets_ns = {HITS_CLOCK: 0}
-        """How far each clock was ahead of that of the hits when it was last read."""
+        """How far each clock was ahead of the hits' clock at its last reading."""
         self.unreadable = 0
-        """Hits without what they should tell."""
+        """Hits that lack values that they should have."""
         self.left_out = 0
-        """Hits of what there was no room for."""
+        """Hits of streams or things that had no room."""
         self._streams = self._things = self._pids = 0
 
     @property
@@ -44,7 +44,7 @@ class ObservationState:
         return self._streams >= STREAMS_MAX
 
     def add_stream(self) -> bool:
-        """Whether there was room for another stream."""
+        """Take room for another stream; False if there is none."""
         if self.is_full:
             self.left_out += 1
             return False
@@ -52,7 +52,7 @@ class ObservationState:
         return True
 
     def add_thing(self) -> bool:
-        """Whether there was room for another thing that lives."""
+        """Take room for another living thing; False if there is none."""
         if self._things >= THINGS_MAX:
             self.left_out += 1
             return False
@@ -60,11 +60,11 @@ class ObservationState:
         return True
 
     def has_room(self, handle: Handle, known: Mapping[Handle, object]) -> bool:
-        """Whether a thing is known by its handle, or there was room for another one."""
+        """Whether a thing is known by its handle; otherwise take room for it, False if there is none."""
         return handle in known or self.add_thing()
 
     def drop_things(self, number: int) -> None:
-        """So many have ended."""
+        """This many things have ended: free their room."""
         self._things -= number
 
     def add_pid(self, label: str, pid: int) -> None:
@@ -79,7 +79,7 @@ class ObservationState:
         self.blind_until_ns = max(until_ns, self.blind_until_ns)
 
     def label(self, process: LivingProcess, name: str) -> str:
-        """The name of a node, the same for all topics of its process; numbered where another living one has it."""
+        """The name of a node, the same for all topics of its process; numbered if another living process has it."""
         label = process.labels.get(name)
         if label is None:
             label = process.labels[name] = numbered(name, self.numbering.number(("process", name), process))

@@ -1,4 +1,4 @@
-"""Paths of topics: how long after the first message of a path the one came that its last topic had from it."""
+"""Paths of topics: how long after a message of a path's first topic the message of its last topic came from it."""
 
 from collections.abc import Sequence
 
@@ -6,11 +6,11 @@ from rtrun.flows.messages import End, Publication, Reception
 from rtrun.flows.rows import RowStore
 
 _Hop = tuple[int, int]
-"""A path by its place among them, and the place of a topic on it."""
+"""The place of a path among the paths, and the place of a topic on the path."""
 
 
 class PathLog:
-    """Messages of a publisher at the end of a path: from when to when; of `unknown` ones no first message is known."""
+    """Messages of a publisher at the end of a path: from when to when. For `unknown` ones the begin is not known."""
 
     __slots__ = ("rows", "unknown")
 
@@ -32,7 +32,7 @@ class PathRecord:
                 self._hops.setdefault(topic, []).append((number, place))
 
     def published(self, publication: Publication, handled: Reception | None) -> None:
-        """A message was published, in the callback of a received one or of none that is known."""
+        """A message was published; `handled` is the received message in whose callback, None if not known."""
         for number, place in self._hops.get(publication.endpoint.topic, ()):
             begin_ns = publication.at_ns if place == 0 else None
             if place and handled is not None and handled.publication is not None:

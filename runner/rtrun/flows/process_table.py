@@ -16,17 +16,17 @@ class ProcessTable:
         self.processes: dict[int, LivingProcess] = {}
         self.threads: dict[int, ObservedThread] = {}
         self._ran_before: frozenset[tuple[str, ...]] | None = None
-        """The command lines of those that ran when the observation began; None before that is known."""
+        """The command lines of the programs that ran when the observation began; None before that is known."""
         self._pids: dict[int, int] = {}
-        """Of the threads that were listed."""
+        """The pids of the listed threads, by thread."""
 
     def observe(self, programs: Iterable[ObservedProgram]) -> None:
-        """These are the programs now, all of them: others have ended, and a pid may be that of a new one."""
+        """Take all programs that run now: others have ended, and a pid may belong to a new program."""
         listed = {program.pid: program for program in programs}
         for pid, process in list(self.processes.items()):
             program = listed.get(pid)
             if program is None:
-                # Its last hits may still come. It is dropped the next time.
+                # Its last hits may still come: it is dropped the next time.
                 if not process.is_alive:
                     self._drop(process)
                 process.is_alive = False
@@ -51,9 +51,9 @@ class ProcessTable:
                 self._state.drop_things(1)
 
     def thread(self, pid: int, tid: int) -> ObservedThread | None:
-        """The thread of a hit; None where there is no room for it.
+        """The thread of a hit; None if there is no room for it.
 
-        Pid 0: the process was not known; the list, or its other hits, may tell.
+        Pid 0: the process was not known; the list of programs, or other hits of the thread, may show it.
         """
         pid = pid or self._pids.get(tid, 0)
         thread = self.threads.get(tid)

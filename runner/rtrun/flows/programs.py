@@ -1,4 +1,4 @@
-"""Observed processes while they live, and names for what is in them that outlast a restart."""
+"""Observed processes while they live, and names for their nodes and things that outlast a restart."""
 
 import re
 from collections.abc import Hashable, Sequence
@@ -11,30 +11,30 @@ T = TypeVar("T")
 _REMAPPED = re.compile(r"(?:[^:=]*:)?__(node|name|ns):=(.*)", re.DOTALL)
 _INTERPRETER = re.compile(r"python[0-9.]*")
 
-# Of a topic, a node or a namespace. ROS 2 allows 255.
+# The name of a topic, a node or a namespace. ROS 2 allows 255.
 NAME_CHARACTERS_MAX = 512
-_TIDY_FROM = 50_000  # names, of which most are of what has ended
+_TIDY_FROM = 50_000  # names, most of them of things that have ended
 
 Handle = int | str
 """What tells one thing from another in its process: a pointer."""
 
 
 class LivingProcess:
-    """A process from its first hit to its end. `label` names its node, or the program where no node is known."""
+    """A process from its first hit to its end. `label` names its node, or the program if no node is known."""
 
     __slots__ = ("has_own_name", "is_alive", "label", "labels", "names_of_nodes", "pid", "program", "tables")
 
     def __init__(self, pid: int, program: ObservedProgram | None, *, has_own_name: bool = False) -> None:
         self.pid = pid
         self.program = program
-        # A process that is not known has the number of its thread, below 0.
+        # The pid of an unknown process is minus the id of its thread.
         unknown = f"process {pid}" if pid > 0 else f"process of thread {-pid}"
         self.label = unknown if program is None else label_of(program)
         self.is_alive = True
         self.has_own_name = has_own_name
         self.names_of_nodes: dict[Handle, str] = {}
         self.labels: dict[str, str] = {}
-        """By names of its nodes: the same, as they are told from those of other processes."""
+        """By names of its nodes: these names, numbered where another process has the same."""
         self.tables: dict[HandleTable[Any], dict[Handle, Any]] = {}
 
     @property
@@ -43,9 +43,9 @@ class LivingProcess:
         return 1 + len(self.names_of_nodes) + sum(map(len, self.tables.values()))
 
     def node(self, handle: Handle | None) -> str:
-        """The name of a node that was seen to begin; of one that was not, the only node's, or the process' own.
+        """The name of a node that was seen to begin; otherwise that of the only node, or the label of the process.
 
-        A process that ran before it was observed has its own for all, and so has the one that it restarts as.
+        A process that ran before it was observed has its own label for all nodes, also after a restart.
         """
         names = self.names_of_nodes
         if self.has_own_name or not names:
@@ -56,7 +56,7 @@ class LivingProcess:
 
 
 class HandleTable(Generic[T]):
-    """What processes have of one sort, by handle: each process has a table of its own, and drops it when it ends."""
+    """The things of one sort, by handle: each process has a table of its own, and drops it when it ends."""
 
     def of(self, process: LivingProcess) -> dict[Handle, T]:
         """The table of a process."""
@@ -67,7 +67,7 @@ class HandleTable(Generic[T]):
 
 
 class LivingThing:
-    """A publisher, subscription, timer or callback of a process, from its first hit until its pointer means another."""
+    """A publisher, subscription, timer or callback of a process, from its first hit until its pointer is reused."""
 
     __slots__ = ("is_replaced", "process")
 
@@ -88,7 +88,7 @@ class _Living(Protocol):
 class Numbering:
     """Numbers things that nothing else tells apart: each gets the lowest number that no living one has.
 
-    So what begins again after a restart has its old number, and two that live at the same time never share one.
+    So a thing gets its old number again after a restart, and two living things never share a number.
     """
 
     def __init__(self) -> None:
@@ -104,21 +104,21 @@ class Numbering:
                 return place + 1
         owners.append(owner)
         if len(self._owners) > self._tidy_at:
-            # Who has ended long ago has a number of its own no longer.
+            # Things that ended long ago lose their numbers.
             self._owners = {key: each for key, each in self._owners.items() if any(one.is_alive for one in each)}
             self._tidy_at = max(_TIDY_FROM, 2 * len(self._owners))
         return len(owners)
 
 
 def numbered(label: str, number: int) -> str:
-    """A name, with the number where it is not the first."""
+    """A name, with its number unless that is 1."""
     return label if number == 1 else f"{label}#{number}"
 
 
 def label_of(program: ObservedProgram) -> str:
     """The full name of the node as the command line gives it, else the name of the program or of its script.
 
-    Of what is longer than any name it is the begin: a name is kept with every stream, and after its program has ended.
+    It is cut to NAME_CHARACTERS_MAX: every stream keeps it, also after its program has ended.
     """
     return _told_label(program)[:NAME_CHARACTERS_MAX]
 
@@ -131,7 +131,7 @@ def _told_label(program: ObservedProgram) -> str:
     script = _script(program.argv) or program.name
     names, spaces = told.get("name", set()), told.get("ns", set())
     if not names and len(spaces) == 1:
-        # In the code it is mostly called as its program.
+        # The code mostly names a node like its program.
         names = {script}
     if len(names) == 1 and len(spaces) <= 1:
         return full_name(next(iter(names)), next(iter(spaces), ""))

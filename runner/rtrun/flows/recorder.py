@@ -20,7 +20,7 @@ class DrawnMessage(NamedTuple):
 
 
 class DrawnCallback(NamedTuple):
-    """A call of a callback; `name` says of what it is."""
+    """A call of a callback; `name` is its topic or timer."""
 
     name: str
     pid: int

@@ -1,4 +1,4 @@
-"""Rows of numbers that grow for hours: the newest are in memory, the others in a file without a name."""
+"""Rows of numbers that grow for hours: the newest are in memory, the others in an unnamed file."""
 
 import os
 import tempfile
@@ -15,9 +15,9 @@ from rtrun.results.columns import PIECE_ROWS, NoRoom, collected, kept_in
 
 # An hour of 10000 messages a second with their callbacks takes 2.5 GiB.
 BYTES_MAX = 8 * 2**30
-"""Of all rows of an observation. It ends where there are more."""
+"""The bytes of all rows of an observation: with more, the observation ends."""
 ROWS_MAX = 2**26
-"""Of one stream, of which a bit or a byte is kept in memory when it is read."""
+"""The rows of one stream: reading it takes a bit or a byte of memory for each row."""
 IN_MEMORY_BYTES_MAX = 32 * 2**20
 _EXTENTS_MAX = 2**21
 _EXTENT_BYTES_LEAST = 512
@@ -26,7 +26,7 @@ _EXTENT_BYTES_LEAST = 512
 class RowStore:
     """All rows of an observation. `folder` is where the file is; None: where temporary files are.
 
-    It is made when rows go there first, and gone when nobody holds the store any more.
+    The file is made when the first rows go there, and is gone when nobody holds the store any more.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -36,15 +36,15 @@ class RowStore:
         self._end = self._extents = 0
 
     def rows(self, width: int = 1) -> "Rows":
-        """New rows of so many numbers each."""
+        """New rows, each of `width` numbers."""
         made = Rows(self, width)
         self._tables.append(made)
         return made
 
     def ease(self) -> None:
-        """Write rows to the file where too many are in memory.
+        """Write rows to the file if too many are in memory.
 
-        Raises NoRoom where there are more than may be kept, or the disk does not take them; none is lost.
+        Raises NoRoom if there are more than may be kept, or if the disk does not take them; no row is lost.
         """
         if sum(len(rows.tail) for rows in self._tables) * 8 <= IN_MEMORY_BYTES_MAX:
             return
@@ -70,7 +70,7 @@ class RowStore:
         return place
 
     def fill(self, into: Int64s, at: int) -> None:
-        """Read numbers from a place of the file on. Raises NoRoom where that fails."""
+        """Read numbers from a place of the file on. Raises NoRoom if that fails."""
         assert self._file is not None
         left = into.data.cast("B")
         with kept_in(self.folder):
@@ -88,7 +88,7 @@ class RowStore:
 
 
 class Rows:
-    """Rows of one thing, each of `width` numbers; `add` takes those of one row, or of several."""
+    """Rows of one thing, each of `width` numbers; `add` takes the numbers of one row, or of several."""
 
     __slots__ = ("_offsets", "_spooled", "_starts", "_store", "add", "tail", "width")
 
@@ -99,7 +99,7 @@ class Rows:
         """What is in memory."""
         self.add: Callable[[Iterable[int]], None] = self.tail.extend
         self._spooled = 0
-        # Of each part in the file: its first row, and where it is.
+        # For each part in the file: its first row, and where it is.
         self._starts: array[int] | None = None
         self._offsets: array[int] | None = None
 
@@ -107,7 +107,7 @@ class Rows:
         return self._spooled + len(self.tail) // self.width
 
     def spool(self, place: int) -> None:
-        """All that is in memory is in the file, too, at a place."""
+        """All rows in memory were written to the file at a place: drop them from memory."""
         if self._starts is None or self._offsets is None:
             self._starts, self._offsets = array("q"), array("q")
         self._starts.append(self._spooled)
@@ -116,7 +116,7 @@ class Rows:
         del self.tail[:]
 
     def _place(self, row: int) -> tuple[int, int]:
-        """Where a row is in the file, and which row is the first one behind the part that it is in."""
+        """Where a row is in the file, and the first row after the part that it is in."""
         assert self._starts is not None and self._offsets is not None
         part = bisect_right(self._starts, row) - 1
         end = self._starts[part + 1] if part + 1 < len(self._starts) else self._spooled
@@ -150,7 +150,7 @@ class Rows:
         return int(self.read(row, row + 1)[0, 0])
 
     def first_after(self, value: int) -> int:
-        """Of rows in the order of their first numbers, the first whose number is higher."""
+        """The first row whose first number is higher; the rows must be in the order of these."""
         low, high = 0, len(self)
         while low < high:
             middle = (low + high) // 2
@@ -158,7 +158,7 @@ class Rows:
         return low
 
     def between(self, begin: int, end: int) -> Int64s:
-        """Of rows in the order of their first numbers, those numbers from `begin` to before `end`; int64 (n,)."""
+        """The first numbers from `begin` to before `end`, int64 (n,); the rows must be in the order of these."""
         return self.read(self.first_after(begin - 1), self.first_after(end - 1))[:, 0]
 
     def pieces(self) -> Iterator[Int64s]:
@@ -171,9 +171,9 @@ class Rows:
         return collected(self._store.folder, (tuple(piece.T) for piece in self.pieces()), self.width)
 
     def in_order(self, column: int) -> Iterator[Int64s]:
-        """All rows by the numbers of a column, some at a time; those with the same number stay as they are.
+        """All rows sorted by a column, some at a time; rows with the same number keep their order.
 
-        Only what has a lower number than rows behind it waits in memory for them.
+        A row waits in memory only while later rows may come before it.
         """
         least = np.array([piece[:, column].min() for piece in self.pieces()], np.int64)
         later = np.append(np.minimum.accumulate(least[::-1])[::-1], np.iinfo(np.int64).max)

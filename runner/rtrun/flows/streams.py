@@ -1,4 +1,4 @@
-"""The streams of an observation: what the accumulator has, with names that outlast a restart and columns to keep."""
+"""The streams of an observation: the accumulator's records, with names that outlast a restart and columns to keep."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,15 +22,15 @@ OBSERVED = tuple(
 
 
 def streams(observed: FlowAccumulator) -> Iterator[Stream]:
-    """One value for each thing that was measured, in the order in which they were first seen.
+    """Yield a stream for each measured thing, in the order in which they were first seen.
 
-    All of them together may be more than the memory holds. One that there was no room to read has its trouble instead.
+    All streams together may be larger than the memory. A stream that there was no room to read has `trouble` instead.
     """
     seen: dict[tuple[object, ...], int] = {}
     for kind in OBSERVED:
         for source in kind.sources(observed):
             stream = _printable(_read(kind.STREAM, source))
-            # Names that differ in bytes that cannot be printed only are alike when printed.
+            # Names that differ only in unprintable bytes look alike when printed.
             key = (stream.kind, *stream.identity.items())
             seen[key] = seen.get(key, 0) + 1
             yield stream if seen[key] == 1 else replace(stream, identity={**stream.identity, "alike": seen[key]})

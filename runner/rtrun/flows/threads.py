@@ -1,4 +1,4 @@
-"""What a thread is about: the message or timer that it handles, and the callbacks that it is in."""
+"""What a thread is doing: the message or timer that it handles, and the callbacks that it is in."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -26,10 +26,10 @@ class CallbackLog:
 
 
 class LivingCallback(LivingThing):
-    """A callback of a living process. It has a subject once it is known of what it is, or will not be known.
+    """A callback of a living process. It gets a subject once its owner is known, or once that will not be known.
 
-    `owner` is the subscription or timer whose callback it is; `is_mixed`: it was called after several, so what it
-    handles is not known.
+    `owner` is the subscription or timer whose callback it is. `is_mixed`: it was called after several owners, so it is
+    not known what it handles.
     """
 
     __slots__ = ("calls", "early", "is_mixed", "logs", "named", "number", "owner")
@@ -39,14 +39,14 @@ class LivingCallback(LivingThing):
         self.owner: LivingThing | None = None
         self.is_mixed = False
         self.named: tuple[str, str] | None = None
-        """The label of its node, and what it is the callback of."""
+        """The label of its node, and its topic or timer."""
         self.number = 0
         self.calls = 0
         self.early: list[tuple[ObservedThread, int, int]] = []
         self.logs: dict[ObservedThread, CallbackLog] = {}
 
     def is_of(self, cause: Cause | None) -> bool:
-        """Whether a call directly after `cause` handles that; learns whose callback it is from the first one."""
+        """Whether a call directly after `cause` handles that; the first cause shows whose callback it is."""
         if cause is None:
             return False
         owner = cause.endpoint if isinstance(cause, Reception) else cause
@@ -58,7 +58,7 @@ class LivingCallback(LivingThing):
 
     @property
     def is_ready(self) -> bool:
-        """Whether it can be named: its subject is known, or was never seen in several calls."""
+        """Whether it can be named: its subject is known, or several calls have not shown it."""
         known = self.owner is not None and (not isinstance(self.owner, LivingTimer) or self.owner.log is not None)
         return known or self.calls >= _CALLS_WITHOUT_CAUSE
 
@@ -67,7 +67,7 @@ CALLBACKS = HandleTable[LivingCallback]()
 
 
 class OpenCallback(NamedTuple):
-    """A callback that has begun: `message` is what it handles, where that is certain."""
+    """A callback that has begun: `message` is what it handles, if that is certain."""
 
     callback: LivingCallback
     begin_ns: int
@@ -76,7 +76,7 @@ class OpenCallback(NamedTuple):
 
 @dataclass(slots=True)
 class OpenTurn:
-    """What a thread has to do and has begun: how often it triggered a guard condition since, and when last."""
+    """A piece of work that a thread has begun: how often it triggered a guard condition since, and when last."""
 
     begin_ns: int
     cpu: int
@@ -89,12 +89,12 @@ class OpenTurn:
 class ObservedThread:
     """A thread of a living process, between two gaps.
 
-    What it is about, `cause`, is what it took or the timer that it called last, until it does something else. A message
-    that it publishes belongs to the message in whose callback it does so (`handled`):
+    `cause` is the message or timer that it last took or called, until it does something else. A message that it
+    publishes belongs to the message in whose callback it does so (`handled`):
 
-    - where callbacks are seen, between begin and end of one that began directly after its message was taken;
-    - in rclpy, which triggers a guard condition before and after each callback, between the two;
-    - else, where it is seen to wait, after the only message that it took since then.
+    - if callbacks are seen: between begin and end of a callback that began directly after its message was taken;
+    - in rclpy, which triggers a guard condition before and after each callback: between the two;
+    - otherwise, if the thread is seen to wait: after the only message that it took since then.
     """
 
     __slots__ = (
@@ -119,9 +119,9 @@ class ObservedThread:
         self.has_waited = False
         self.turn: OpenTurn | None = None
         self.triggers: int | None = None
-        """Since the last message was taken; None: it was never seen to trigger, so it may be no rclpy."""
+        """Since the last message was taken; None: it was never seen to trigger, so it may not be rclpy."""
         self.taken: int | None = None
-        """Messages since it last waited, None: it was never seen to wait, or did something else since."""
+        """Messages since it last waited; None: it was never seen to wait, or has done something else since."""
 
     def takes(self, reception: Reception) -> None:
         self.cause = reception
@@ -143,13 +143,13 @@ class ObservedThread:
         self.triggers = 1 if self.triggers is None else self.triggers + 1
 
     def does_other_work(self) -> None:
-        """Something that is neither a publication nor one of the above."""
+        """The thread does something that is neither a publication nor one of the above."""
         self.cause = None
         self.taken = None
 
     @property
     def handled(self) -> Reception | None:
-        """The message in whose callback the thread is now; None where that is not certain."""
+        """The message in whose callback the thread is now; None if that is not certain."""
         if self.callbacks:
             return self.callbacks[-1].message
         cause = self.cause

@@ -1,4 +1,4 @@
-"""Timers: when each was called and when it was due, and what of that is lateness."""
+"""Timers: when each was called, when it was due, and how late it therefore was."""
 
 from array import array
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from rtrun.probes.hits import HITS_CLOCK
 from rtrun.results.columns import PIECE_ROWS, collected
 
 LEAST_CALLS = 3
-"""One that was called less often has no interval to go by: rclpy makes a timer for each spin_once with a time limit."""
+"""A timer with fewer calls has no interval to go by: rclpy makes a timer for each spin_once with a time limit."""
 _PERIOD_OFF_MAX = 0.1
 _SAME_CLOCK = {"ros": "system"}  # unless the time is simulated
 _LATE_MAX_NS = 3600 * 10**9  # simulated time is further from the clock
@@ -26,12 +26,12 @@ _ROUNDING_NS = 1000
 
 
 def timer_name(period_ns: int | None) -> str:
-    """A timer by its period, where that is known."""
+    """The name of a timer, with its period if that is known."""
     return "timer" if period_ns is None else f"timer {period_ns / 1e6:g} ms"
 
 
 class TimerLog:
-    """The calls of a timer, over all restarts of its program. `rows`: when it was called, and when that was due."""
+    """The calls of a timer, over all restarts of its program. `rows`: when each call came, and when it was due."""
 
     __slots__ = ("clock", "cuts", "label", "latest", "number", "period_ns", "rows")
 
@@ -46,7 +46,7 @@ class TimerLog:
 
     @property
     def name(self) -> str:
-        """What it is called among the timers of its node."""
+        """Its name among the timers of its node."""
         return timer_name(self.period_ns)
 
     def add(self, at_ns: int, expected_ns: int, timer: "LivingTimer", epoch: int) -> None:
@@ -59,7 +59,7 @@ class TimerLog:
 
 
 class LivingTimer(LivingThing):
-    """A timer of a living process; it has a log once it was called often enough to be one."""
+    """A timer of a living process; it gets a log after `LEAST_CALLS` calls."""
 
     __slots__ = ("clock", "early", "handle", "log", "node", "period_ns")
 
@@ -78,10 +78,10 @@ TIMERS = HandleTable[LivingTimer]()
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lateness:
-    """The calls of a timer whose lateness is known: when each was, and by its own clock when it was due and called.
+    """The calls of a timer whose lateness is known: when each came, and by its own clock when it was due and called.
 
-    All int64 of shape (n,); `cuts` are as those of a stream. `skipped` are whole periods without a call, by how the
-    grid went on. `why_not` says in sentences why some or all are not there.
+    All int64 of shape (n,); `cuts` are as in a stream. `skipped` counts whole periods without a call, seen from the
+    grid of the timer. `why_not` are sentences on why some or all calls are missing.
     """
 
     at_ns: Int64s
@@ -93,21 +93,22 @@ class Lateness:
 
 
 class ClockOffsets:
-    """How far other clocks lie from the one of the hits, as it was read now and then."""
+    """How far other clocks lie from the one of the hits, from readings now and then."""
 
     def __init__(self) -> None:
         self._at: dict[str, array[int]] = {}
         self._offset: dict[str, array[int]] = {}
 
     def add(self, clock: str, at_ns: int, offset_ns: int) -> None:
-        """`clock` was `offset_ns` ahead of the hits' clock at a time on that; later times follow earlier ones."""
+        """`clock` was ahead of the hits' clock by `offset_ns` when that showed `at_ns`; times are added in order."""
         self._at.setdefault(clock, array("q")).append(at_ns)
         self._offset.setdefault(clock, array("q")).append(offset_ns)
 
     def read(self, clock: str, at_ns: Int64s) -> tuple[Int64s, "np.ndarray[tuple[int], np.dtype[np.bool_]]", int]:
         """The offset at each of these times, whether it is known there, and by how much the clock stepped at most.
 
-        It is known between two readings between which the clock went on steadily; int64, bool (n,), nanoseconds.
+        The offset is known between two readings if the clock did not step between them. Shapes: int64 (n,), bool (n,);
+        in nanoseconds.
         """
         if clock == HITS_CLOCK:
             return np.zeros(at_ns.size, np.int64), np.ones(at_ns.size, np.bool_), 0
@@ -123,7 +124,7 @@ class ClockOffsets:
         return offset[between] + np.rint(moved[between] * part).astype(np.int64), known, most
 
     def last_ns(self, clock: str) -> int | None:
-        """When a clock was read last; None for one that never was."""
+        """When a clock was last read; None if it never was."""
         read = self._at.get(_SAME_CLOCK.get(clock, clock))
         return read[-1] if read else None
 
@@ -133,7 +134,7 @@ def known_period_ns(log: TimerLog) -> int | None:
     if log.period_ns is None or log.period_ns <= 0:
         return None
     medians = [float(np.median(some)) for some in steps(log.rows, log.cuts) if some.size]
-    # Of a long stream it is that of its pieces.
+    # The median of a long stream is that of its pieces' medians.
     if not medians or abs(float(np.median(medians)) / log.period_ns - 1) > _PERIOD_OFF_MAX:
         return None
     return log.period_ns
@@ -175,16 +176,16 @@ def _none(reason: str) -> Lateness:
 
 
 class _CertainCalls:
-    """Reads the calls of a timer whose lateness is certain, some at a time, and sums up what is to be said of all."""
+    """Reads the calls of a timer whose lateness is certain, some at a time, and sums up what holds for all of them."""
 
     def __init__(self, log: TimerLog, clock: str, period_ns: int, offsets: ClockOffsets) -> None:
         self._log, self._clock, self._period_ns, self._offsets = log, clock, period_ns, offsets
         self.step_ns = self.unknown = self.skipped = 0
         self.medians: list[float] = []
-        """How late they were, of each piece."""
+        """The median lateness of each piece."""
 
     def pieces(self) -> Iterator[tuple[Int64s, Int64s, Int64s, Int64s]]:
-        """When each was, was due and was called on the timer's clock, and which of these rows are cuts."""
+        """When each call came; when it was due and came on the timer's clock; and which of these rows are cuts."""
         before, last_row, last_due = 0, np.empty(0, np.int64), np.empty(0, np.int64)
         for begin in range(0, len(self._log.rows), PIECE_ROWS):
             at, due = self._log.rows.read(begin, begin + PIECE_ROWS).T
@@ -200,7 +201,7 @@ class _CertainCalls:
             rows = rows + begin
             is_cut = np.isin(rows, self._log.cuts.between(begin, begin + PIECE_ROWS))
             is_cut[1 - last_row.size :] |= np.diff(np.append(last_row, rows)) != 1
-            # The first one of all has none before it.
+            # The very first call has none before it.
             is_cut[0] |= not last_row.size
             steps_ns = np.diff(np.concatenate((last_due, due)))[~is_cut[1 - last_row.size :]]
             self.skipped += int(np.maximum((steps_ns + _ROUNDING_NS) // self._period_ns - 1, 0).sum())

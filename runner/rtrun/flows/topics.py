@@ -1,4 +1,4 @@
-"""Both ends of each topic: what hits of publishing and taking say, and names for who does it."""
+"""Both ends of each topic: what the hits of publishing and taking show, and names for publishers and subscribers."""
 
 from collections.abc import Callable, Mapping
 
@@ -23,7 +23,7 @@ from rtrun.flows.threads import ObservedThread
 from rtrun.probes.hits import Hit
 
 PUBLISHER, SUBSCRIBER = "publisher", "subscriber"
-# Of ROS 2 itself, in every process: no messages of a system of nodes.
+# Topics of ROS 2 itself, in every process: not messages between nodes.
 _OF_ROS = frozenset(("ros_discovery_info", "/parameter_events"))
 _KEY_BYTES = 12
 _OPEN_MAX = 100_000  # messages that wait to be taken
@@ -59,17 +59,17 @@ class TopicRecord(MessageRecord):
         while True:
             for matching in matchings:
                 matching.expire(now_ns + self._horizon_ns - horizon_ns)
-            # So many fewer takers, that it is not done again with the next message.
+            # Takers are halved, so that this is not done again for the next message.
             if sum(matching.open for matching in matchings) <= _OPEN_MAX and self.takers <= TAKERS_MAX // 2:
                 return
-            # More than a system publishes within the horizon at the highest rate: less is remembered.
+            # More messages than a system publishes within the horizon at the highest rate: remember fewer.
             horizon_ns //= 2
             if horizon_ns < _HORIZON_LEAST_NS:
                 self.cut()
                 return
 
     def cut(self) -> None:
-        """Hits are missing: decide what may be decided, and begin anew."""
+        """Hits are missing: decide what can be decided, and start afresh."""
         for matching in self._matchings():
             matching.cut()
         self.unlink()
@@ -89,7 +89,7 @@ class TopicRecord(MessageRecord):
             self._recorder.message(publication, reception)
 
     def _publish(self, hit: Hit, thread: ObservedThread) -> None:
-        # Bytes without a size: roscpp passes it on within its process, by its pointer.
+        # Bytes without a size: roscpp passes the message on within its process, by pointer.
         if hit.values.get("topic") in _OF_ROS or ("key0" in hit.values and "size" not in hit.values):
             return
         key = key_of(hit.values)
@@ -107,7 +107,7 @@ class TopicRecord(MessageRecord):
             self._stamped(endpoint.topic).publish(key, publication)
         elif key is not None:
             self._unstamped(endpoint.topic).publish(key, publication)
-        # Else a release of ROS 2 that does not tell the stamp: it is known that there was a message, not which.
+        # Otherwise a release of ROS 2 that does not show the stamp: a message was published, but which is not known.
 
     def _take(self, hit: Hit, thread: ObservedThread) -> None:
         if not hit.values.get("taken", 1):
@@ -129,7 +129,7 @@ class TopicRecord(MessageRecord):
             self._stamped(endpoint.topic).receive(key, reception)
             thread.takes(reception)
             return
-        # In roscpp, where another thread calls back.
+        # This is roscpp, where another thread calls back.
         self._unstamped(endpoint.topic).receive(key, reception)
 
     def _endpoint_of(
@@ -163,7 +163,7 @@ class TopicRecord(MessageRecord):
         label = self._state.label(process, process.node(node))
         number = self._state.numbering.number((role, topic, label), endpoint)
         if number > 1:
-            # Of several in one process.
+            # One of several in the same process.
             label = f"{label} ({number})"
             state.add_pid(label, process.pid)
         end = self.ends.get((role, topic, label))
@@ -215,9 +215,9 @@ class TopicRecord(MessageRecord):
 
 
 def key_of(values: Mapping[str, int | str]) -> int | Payload | None:
-    """What tells a message from others: its source's time stamp, or its bytes; None where the hit has neither.
+    """What tells a message from others: its source's time stamp, or its bytes; None if the hit has neither.
 
-    What lies behind a short message in memory is no part of it.
+    Bytes that follow a short message in memory are masked out.
     """
     stamp = values.get("source_ns")
     if isinstance(stamp, int):
@@ -227,5 +227,5 @@ def key_of(values: Mapping[str, int | str]) -> int | Payload | None:
         return None
     if size < _KEY_BYTES:
         return key0 & (1 << 8 * min(size, 8)) - 1, key1 & (1 << 8 * max(size - 8, 0)) - 1, size
-    # roscpp writes the number of a message with a header, in front of the stamp, after it was seen to be published.
+    # In a message with a header, roscpp writes the number before the stamp only after the probe saw the publication.
     return (key0 >> 32 << 32 if has_header((key0, key1, size)) else key0), key1, size

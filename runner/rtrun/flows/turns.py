@@ -1,4 +1,4 @@
-"""What each thread had to do, one after another: a message or a timer, from when it took it until it was done."""
+"""The turns of each thread, one after another: a message or a timer, from when the thread took it until it was done."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,7 +15,7 @@ _ENDS = frozenset(("take", "timer_call", "callback_begin", "wait", "request_take
 
 
 class Turn(NamedTuple):
-    """A callback of a thread; `name` is that of its timer or topic, and of its node; `end_ns` None: it was not seen."""
+    """A callback of a thread; `name` has its timer or topic, and its node; `end_ns` is None if it was not seen."""
 
     begin_ns: int
     end_ns: int | None
@@ -26,10 +26,10 @@ class Turn(NamedTuple):
 
 
 class TurnRecord:
-    """Tells the turns of each thread, in the order in which their ends are known.
+    """Reports the turns of each thread, in the order in which their ends become known.
 
-    One ends where the probe at the end of a callback is (rclcpp); at the last guard condition that rclpy triggers; in
-    C, of a thread that is seen to wait, where it waits or takes the next. Of roscpp no end is seen.
+    A turn ends at the probe for the end of a callback (rclcpp), or at the last guard condition that rclpy triggers. In
+    C, if the thread is seen to wait, its turn ends when it waits or takes the next. In roscpp no end is seen.
     """
 
     def __init__(self, on_turn: Callable[[Turn], None], state: ObservationState) -> None:
@@ -37,7 +37,7 @@ class TurnRecord:
         self._label = state.label
 
     def see(self, hit: Hit, thread: ObservedThread) -> None:
-        """Look at a hit after the thread has."""
+        """Take a hit, after the thread has taken it."""
         event, turn = hit.event, thread.turn
         if event == "guard_trigger" and turn is not None:
             turn.triggers, turn.triggered_ns = turn.triggers + 1, hit.at_ns
@@ -48,7 +48,7 @@ class TurnRecord:
         elif event in _ENDS:
             if turn is not None:
                 self._end(turn, thread, _end_ns(turn, hit, thread))
-            # Of each thread one is kept, and many are once they have ended.
+            # Each thread keeps one name, and many are kept for ended turns.
             name = self._name(hit, thread)[:CALLBACK_CHARACTERS_MAX]
             if name:
                 has_callback = event == "callback_begin" and "topic" not in hit.values
@@ -59,7 +59,7 @@ class TurnRecord:
         self._on_turn(Turn(turn.begin_ns, end_ns, turn.cpu, thread.process.pid, thread.tid, turn.name))
 
     def _name(self, hit: Hit, thread: ObservedThread) -> str:
-        """What a turn is of that begins with a hit; empty where none does."""
+        """The name of the turn that begins with a hit; empty if none does."""
         if hit.event == "callback_begin":
             topic = hit.values.get("topic")
             if isinstance(topic, str):
@@ -83,7 +83,7 @@ class TurnRecord:
 
 
 def _end_ns(turn: OpenTurn, hit: Hit, thread: ObservedThread) -> int | None:
-    """When a turn ended before something else that its thread did."""
+    """When a turn ended, given the next thing that its thread did; None if that was not seen."""
     if turn.has_callback:
         return None
     if turn.triggers > 1:

@@ -1,4 +1,4 @@
-"""What the accumulator hands out: one value for each measured stream."""
+"""What the accumulator hands out: one `Stream` for each measured thing."""
 
 from array import array
 from collections.abc import Iterator, Mapping
@@ -16,23 +16,23 @@ from rtrun.results.columns import PIECE_ROWS, pieces
 class Stream:
     """All that was measured of one thing. No two streams of an observation have the same kind and identity.
 
-    `identity` says of what, in printable texts and whole numbers. `columns` are int64 of shape (n,), times in
-    nanoseconds of CLOCK_MONOTONIC unless said otherwise:
+    `identity` names the thing, in printable texts and whole numbers. `columns` are int64 of shape (n,), with times in
+    nanoseconds of CLOCK_MONOTONIC unless stated otherwise:
 
-    - messages: `publication_ns`, `reception_ns`, `seq`, in the order of reception; with `callback_end_ns`
-      (NOT_SEEN_NS where no probe saw it) where one was seen. `seq` counts the messages of the publisher whose fate is
-      known, so what is missing between two of them was lost.
-    - timer: `timestamp_ns`; where lateness is known also `expected_ns` and `real_ns`, both of the timer's own clock.
-      Of an observation also `segment`, as of intervals.
+    - messages: `publication_ns`, `reception_ns`, `seq`, in the order of reception; also `callback_end_ns`, if one was
+      seen (NOT_SEEN_NS in rows without). `seq` counts the messages of the publisher whose fate is known: numbers that
+      are missing between two rows were lost.
+    - timer: `timestamp_ns`; if lateness is known, also `expected_ns` and `real_ns`, both of the timer's own clock. In
+      an observation also `segment`, as for intervals.
     - callback and path: `begin_ns`, `end_ns`.
     - intervals: `timestamp_ns`, and `segment`: how many cuts there are up to a row.
 
     Long columns are in files: `pieces` reads them some rows at a time. `cuts`, int64, are rows before which hits are
-    missing, or the program began again: that row may not be joined with the one before. `period_ns` is that of a timer,
-    where it is known. `remarks` are sentences on what is not known, and why. `open_ns` is how long a value is at least
-    that had not come at the end, though its program lives; 0 where there is none. `source` is the record that it was
-    read from, by which the same stream is known while it grows. `trouble` says why its columns could not be read; there
-    are none then.
+    missing, or the program began again: such a row must not be joined with the one before. `period_ns` is the period of
+    a timer, if known. `remarks` are sentences on what is not known, and why. `open_ns`: if a value had not come at the
+    end, though its program lives, how long it is at least; otherwise 0. `source` is the record that the stream was read
+    from, which identifies the stream while it grows. `trouble` is why the columns could not be read; there are none
+    then.
     """
 
     kind: StreamKind
@@ -60,7 +60,7 @@ def differences(times_ns: Int64s, cuts: Int64s) -> Int64s:
 
 
 def typical_step(times_ns: Int64s, cuts: Int64s) -> int | None:
-    """The median of the differences, of long columns that of the medians of their pieces; None without any."""
+    """The median of the differences; for long columns, the median of the pieces' medians. None without differences."""
     medians, begin = [], 0
     for (piece,) in pieces(times_ns):
         first, last = np.searchsorted(cuts, [begin, begin + piece.size])

@@ -10,7 +10,7 @@ _SPREAD_PERCENT = 99.9
 
 
 def spread(group: Group) -> str:
-    """The lowest and the highest figures of single boards, and which boards they are of."""
+    """The lowest and the highest figures of single boards, with their boards."""
     parts = []
     misses = {board.boards[0]: board.verdict.p_miss for board in group.members if board.verdict}
     if any(misses.values()):

@@ -26,14 +26,14 @@ class Changed:
     p999_ns: tuple[int | None, int | None]
     max_ns: tuple[int | None, int | None]
     miss: str | None
-    """What counts as a miss, in words; None: nothing, as it has no deadline."""
+    """What counts as a miss, in words; None where there is no deadline."""
     misses: Ratio | None
     runs: tuple[tuple[str, ...], tuple[str, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """Two sets: the groups that both have, what only one of them has, and what could be matched in several ways."""
+    """Two sets: the groups in both, those in only one, and those that could be matched in several ways."""
 
     platform: Platform
     deadline_ns: int
@@ -60,7 +60,7 @@ def compare_sides(
     *,
     margin_ns: float | None,
 ) -> tuple[tuple[str, str], Compared]:
-    """Compare two variants of one campaign, or its kernels; return their names too. Raises UsageError as `split`."""
+    """Compare two variants of one campaign, or its kernels; return their names too. Raises UsageError like `split`."""
     whole = study(path, question, bounds=False)
     chosen, (first, second) = split(whole, by, names)
     return chosen, compare_studies(first, second, margin_ns=margin_ns)
@@ -114,7 +114,7 @@ class _Match:
 def _match(a: Sequence[Group], b: Sequence[Group]) -> _Match:
     pairs = tuple((x, y) for x in a for y in b if _origin(x) == _origin(y))
     if not pairs:
-        # The same boards with another kernel each.
+        # The same boards, each with another kernel.
         first, second = _by_board(a), _by_board(b)
         pairs = tuple((first[board], second[board]) for board in first if board in second)
     if not pairs and len(a) == len(b) == 1:
@@ -130,7 +130,7 @@ def _match(a: Sequence[Group], b: Sequence[Group]) -> _Match:
 
 
 def _by_board(groups: Sequence[Group]) -> dict[tuple[str, int], Group]:
-    """The group of each board that has one alone, by the board and the width of its bins."""
+    """The group of each board that has only one, by the board and the width of its bins."""
     found: dict[tuple[str, int], list[Group]] = {}
     for group in groups:
         for board in group.boards:
@@ -141,7 +141,7 @@ def _by_board(groups: Sequence[Group]) -> dict[tuple[str, int], Group]:
 def _by_circumstances(side: Study, as_in_2014: set[str]) -> dict[str, list[Group]]:
     """Groups that measured something, by suite, series and parameters.
 
-    Of the suites in `as_in_2014` the groups are those of 2014's series, and those of runs that have no such series.
+    For the suites in `as_in_2014`, these are the groups of the series of 2014, and of runs that have no such series.
     """
     groups: dict[str, list[Group]] = {}
     of_2014 = [group for group in side.as_in_2014 if group.suite in as_in_2014]
@@ -166,7 +166,7 @@ def _origin_text(group: Group) -> str:
 
 
 def _label(a: Group, b: Group, *, of_several: bool) -> str:
-    """What a pair is called: where there are several alike, with the target, or the board of two kernels."""
+    """The name of a pair; among several alike, with the target, or the board where two kernels are compared."""
     if not of_several:
         return a.label
     return f"{a.label} on {_origin_text(a) if a.target == b.target else ', '.join(a.boards)}"

@@ -21,7 +21,7 @@ from rtrun.results.series import Header, HistogramSeries, Series
 
 _COLUMNS = 240
 _WIDE_COLUMNS, _ROWS = 60, 40  # of counts over time
-# Half of the 1 ms by which the thesis found the negative cluster set off (section 4.2.2).
+# Half of the 1 ms that separates the negative cluster in the thesis (section 4.2.2).
 CLUSTER_BELOW_NS = -500_000
 
 
@@ -30,7 +30,7 @@ NO_DEADLINE = "no deadline was given for it: --deadline"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cluster:
-    """Values below -500 us of a jitter series: the fraction of all values that they are, and where they lie."""
+    """Values below -500 us of a jitter series: their fraction of all values, and where they lie."""
 
     n: int
     fraction: float
@@ -43,8 +43,8 @@ class Cluster:
 class ThinnedSeries:
     """A series over its loops, thinned: ``low_ns`` and ``high_ns`` (c,) of consecutive columns of ``width`` loops.
 
-    ``counts`` (r, w) are the values in wider columns of ``columns_of`` loops, by ``edges_ns`` (r + 1,), of equal
-    distances on ``scale``.
+    ``counts`` (r, w) are the numbers of values in wider columns of ``columns_of`` loops, between ``edges_ns`` (r + 1,)
+    at equal distances on ``scale``.
     """
 
     low_ns: Int64s
@@ -71,27 +71,27 @@ class Digest:
 
     @property
     def n(self) -> int:
-        """Measurements, the start-up left out."""
+        """Measurements, without the start-up."""
         return self.figures.n
 
     @property
     def loops(self) -> int:
-        """Measurements asked for, as far as they are known: with the start-up, and those that have no value."""
+        """Measurements asked for, as far as known, including the start-up and those that have no value."""
         return self.n + len(self.header.startup) + self.header.missing + self.header.not_fired + self.header.skipped
 
     @property
     def cluster(self) -> Cluster | None:
-        """Its negative cluster; None: the series is not one that has such."""
+        """Its negative cluster; None for a series that can have none."""
         return _cluster(self.histogram) if self.header.series in CLUSTERED else None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class JudgedDigest(Digest):
-    """A series that a verdict is given of: the main one, or that of 2014 beside it, which tolerates no miss.
+    """A series that gets a verdict: the main one, or that of 2014 beside it, which tolerates no miss.
 
-    `question` is what is asked of it; None: it has no deadline. `undecidable` says why there are no `trials`. Only a
-    main series whose values have an order has `tail` and `course`. `head` is what shows a start-up; `startup` are the
-    trials of one that is left out of `trials`, but not of the figures. Both are None where nothing keeps an order.
+    `question` is what it has to answer; None: it has no deadline. `undecidable` says why there are no `trials`. Only a
+    main series whose values have an order has `tail` and `course`. `head` shows whether there is a start-up; `startup`
+    are its trials, which are left out of `trials` but not of the figures. Both are None where no order was kept.
     """
 
     question: Question | None
@@ -107,7 +107,7 @@ class JudgedDigest(Digest):
 def digest(series: Series, question: Question | None, startup_loops: int = 0) -> Digest:
     """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question, if there is one.
 
-    So many first loops are left out of its trials.
+    The first `startup_loops` are left out of its trials.
     """
     header, figures = series.header, series.figures()
     histogram = series.histogram if isinstance(series, HistogramSeries) else from_samples(series.values_ns)
@@ -152,7 +152,7 @@ def digest(series: Series, question: Question | None, startup_loops: int = 0) ->
 
 
 def _count_without_order(series: HistogramSeries, deadline_ns: int, tolerance: Tolerance) -> Trials | str:
-    """The misses among counts, or why they do not tell them."""
+    """The misses among counts, or why the counts do not tell them."""
     if tolerance != NONE_TOLERATED:
         return "counts without order do not tell which misses follow one another"
     try:

@@ -31,7 +31,7 @@ class Case:
     refused: str | None = None
     """Why there is no answer: `text` begins with it."""
     reason: str | None = None
-    """What other than its numbers made the answer, "" if nothing did; `text` where it is None."""
+    """What made the answer besides its numbers, "" if nothing did; `text` where it is None."""
     not_accepted: str = ""
     """Why a proof does not pass."""
     changed: tuple[str, ...] = ()
@@ -66,13 +66,13 @@ def gate(
 ) -> Gate:
     """Judge a study. Only a proof passes: neither too little data nor an emulated board is one.
 
-    What was measured on a virtual machine passes only where `platform` is virtual. What is proven if measurements are
-    independent, from counts without order, passes only with `assume_independent`.
-    Of boards that are alike the answer for all of them counts; that of a single board fails only if it is refuted.
+    Measurements on a virtual machine pass only where `platform` is virtual. A proof that needs independent
+    measurements, from counts without order, passes only with `assume_independent`.
+    For boards that are alike, the answer for all of them counts; a single board fails only if it is refuted.
     A run that failed, is incomplete or was refused does not pass: what it hides is not known. An attempt that a restart
-    of the target cut off is named, and passes when its run was measured again. With `max_page_faults` no program of
-    a suite may have had more while it measured, with `max_allocations` no program that counted them.
-    What asks less than the `goal` of the campaign does not pass.
+    of the target cut off is named, and passes when its run was measured again. With `max_page_faults`, no program of a
+    suite may have had more while it measured; with `max_allocations`, the same holds for programs that counted them. A
+    question that asks less than the `goal` of the campaign does not pass.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
     cases = [
@@ -116,7 +116,7 @@ def _bursts_by_default(study: Study) -> int:
 
 
 def _page_faults(record: RunRecord, most: int) -> Iterator[Case]:
-    """A case for each program that had more page faults than it may have, or does not tell them."""
+    """A case for each program that had more page faults than allowed, or does not report them."""
     for program in record.programs:
         faults = program.costs.page_faults if program.costs else None
         if faults is None or faults > most:
@@ -134,7 +134,7 @@ def _allocations(record: RunRecord, most: int) -> Iterator[Case]:
 
 
 def why_not_accepted(measured: Platform, accepted: Platform) -> str | None:
-    """Why a gate for `accepted` lets nothing through that was measured on a platform; None where it does."""
+    """Why a gate for `accepted` does not pass what was measured on a platform; None where it does."""
     if weakest((measured, accepted)) is accepted:
         return None
     if measured is Platform.EMULATED:

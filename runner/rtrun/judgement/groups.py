@@ -1,4 +1,4 @@
-"""Runs of one suite that were asked for the same way: what they measured, and what it was measured on."""
+"""Runs of one suite with the same parameters: what they measured, and on which target."""
 
 import functools
 import json
@@ -32,16 +32,16 @@ _ENVIRONMENT = (
     "governor",
     "middleware_version",
 )
-# Always told, default or not.
+# Always named, default or not.
 _TELLING = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Runs of one suite with the same parameters on the same target; outputs of one run stand together.
+    """Runs of one suite with the same parameters on the same target; outputs of one run are neighbours.
 
-    `question` is what is asked of them; None: they have no deadline. A group of several boards has a group of each of
-    them as `members`.
+    `question` is what they have to answer; None: they have no deadline. A group of several boards has a group for each
+    board as `members`.
     """
 
     suite: str
@@ -61,7 +61,7 @@ class Group:
 
     @functools.cached_property
     def key(self) -> str:
-        """Tells it from every other group of a study."""
+        """Distinguishes it from every other group of a study."""
         return key_of(self.target, self.digests[0])
 
     @property
@@ -71,14 +71,14 @@ class Group:
 
     @functools.cached_property
     def environment(self) -> tuple[tuple[str, str], ...]:
-        """What the target has to be alike in for its runs to be pooled with those of another: (fact, values)."""
+        """The facts in which two targets must agree for their runs to be pooled: (fact, values)."""
         facts = {fact: {str(getattr(one.target, fact)) for one in self.records} for fact in _ENVIRONMENT}
         facts |= {"platform": {str(self.platform)}, "clock step": {f"{self.clock_step_ns} ns"}}
         return tuple((fact, ", ".join(sorted(values))) for fact, values in facts.items())
 
     @property
     def label(self) -> str:
-        """Suite and parameters in a few words; the series, too, where its suite is judged by another one else."""
+        """Suite and parameters in a few words; also the series, where its suite is usually judged by another one."""
         told = self.series in MAIN_ONLY_IN_2014 or (self.of is not None and self.of != measures(self.suite)[0])
         observed, others = stream_words(self.suite, self.parameters)
         words = [observed or self.suite.removesuffix("_tests"), self.series if told else ""]
@@ -101,7 +101,7 @@ class Group:
 
     @functools.cached_property
     def blocks(self) -> tuple[Blocks, ...]:
-        """One `Blocks` a run; its subscribers, who received the same messages, are added up."""
+        """One `Blocks` per run; its subscribers received the same messages and are added up."""
         by_run: dict[str, list[Blocks]] = {}
         for one in self.digests:
             if one.blocks is not None:
@@ -111,7 +111,7 @@ class Group:
 
     @property
     def clock_step_ns(self) -> int:
-        """The widest step of a clock that any of it was measured with; 1 where none is known."""
+        """The widest clock step that any of it was measured with; 1 where none is known."""
         return max((one.header.clock_step_ns or 1 for one in self.digests), default=1)
 
     @functools.cached_property
@@ -121,7 +121,7 @@ class Group:
 
 
 def key_of(target: str, one: JudgedDigest) -> str:
-    """The same for all digests of a group, which is of this target."""
+    """The key of the group of a digest, which is of this target: the same for all digests of a group."""
     return json.dumps([target, *scenario(one)])
 
 
@@ -133,7 +133,7 @@ def scenario(one: JudgedDigest) -> list[Any]:
 
 
 def format_parameters(parameters: dict[str, Value]) -> str:
-    """Parameters in a few words: policy first, what is not the default, units behind the number."""
+    """Parameters in a few words: policy first, then those that are not the default; units follow the number."""
     words: list[str] = []
     known = options()
     for key, value in parameters.items():
@@ -150,7 +150,7 @@ def format_parameters(parameters: dict[str, Value]) -> str:
 
 
 def slowest(alike: Sequence[JudgedDigest]) -> list[JudgedDigest]:
-    """Of each run the output with the highest value: subscribers of one run peak with the same messages."""
+    """The output of each run with the highest value: subscribers of one run peak with the same messages."""
     worst: dict[str, JudgedDigest] = {}
     for one in alike:
         known = worst.get(one.run)

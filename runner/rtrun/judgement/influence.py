@@ -14,7 +14,7 @@ _SUITES = frozenset(kind.suite for kind in STREAMS.values() if kind.is_of_paths)
 
 @dataclass(frozen=True, kw_only=True)
 class Influence:
-    """A path alone, the same path beside other nodes, and what these add to its times."""
+    """A path alone, the same path beside other nodes, and what those nodes add to its times."""
 
     alone: Group
     beside: Group

@@ -1,7 +1,7 @@
-"""Groups that stand upon one another: which layer of a middleware, or of the system below, each is.
+"""Groups as layers upon one another: which layer of a middleware, or of the system below, each is.
 
-A layer stands on the same measurement through the middleware below (`stands_on` of its file), or on the kind of
-measurement, or the baseline, that its own is on top of (`layer_below` of its kind).
+Below a layer is the same measurement through the middleware below (`stands_on` of its file), or the kind of measurement
+or the baseline below its own kind (`layer_below`).
 """
 
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.suites import is_real_time, kind_of, middleware_of, options, period_of, suite
 from rtrun.targets.inspection.platform import Platform
 
-# Parameters of a layer alone; all others must be the same in both.
+# Parameters that belong to one layer; all others must be the same in both.
 _OF_A_LAYER = {
     *("timeout_us", "interval_us", "frequency_hz", "busy_mode", "threads", "payload_bytes", "subscribers"),
     *("middleware", "start_delay_s", "cpu_dma_latency_us"),
 }
-# Of one measurement through two middlewares these are the same, too.
+# For one measurement through two middlewares, these must be the same, too.
 _OF_A_MEASUREMENT = ("timeout_us", "frequency_hz", "payload_bytes", "subscribers")
 UNLIKE_IDLE = (
     "idle CPUs were kept awake in one and not in the other; give both the same cpu_dma_latency_us, of which cyclictest "
@@ -31,7 +31,7 @@ UNLIKE_IDLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class LayerPair:
-    """A layer, the one above it, and what that adds; `attribution` says why where that is not known."""
+    """A layer, the one above it, and what that adds; where this is not known, `attribution` says why."""
 
     below: Group
     above: Group
@@ -39,7 +39,7 @@ class LayerPair:
 
 
 def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
-    """Every two groups that differ in the layer alone; none on an emulated board, whose times say nothing."""
+    """All pairs of groups that differ only in the layer; none on an emulated board, whose times say nothing."""
     differing = differing_in_layer(() if study.platform is Platform.EMULATED else study.groups)
     pairs = []
     for below, above in differing:
@@ -59,7 +59,7 @@ def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
 
 
 def chains(pairs: Sequence[LayerPair]) -> tuple[tuple[LayerPair, ...], ...]:
-    """The pairs in which something is known, put upon one another: each chain from a lowest layer to a highest."""
+    """The pairs whose difference is known, joined to chains: each from a lowest layer to a highest one."""
     known = [pair for pair in pairs if pair.attribution.added]
 
     def upward(group: Group) -> list[tuple[LayerPair, ...]]:
@@ -94,7 +94,7 @@ def _is_layer_below(below: Group, above: Group) -> bool:
         )
     if kind.layer_below in KINDS:
         return kind_of(below.suite) is KINDS[kind.layer_below] and under == over and _is_one_event(above)
-    # A middleware that stands on another one is on top of that.
+    # A middleware that stands on another one has that below it, not the baseline.
     return below.suite == kind.layer_below and not stands_on and _is_one_event(above)
 
 
@@ -112,12 +112,12 @@ def _differ_in_layer_alone(low: Group, high: Group) -> bool:
 
 
 def _awake_us(group: Group) -> object:
-    """The latency at which idle CPUs were kept awake; None where they slept as they would."""
+    """The latency at which idle CPUs were kept awake; None where they were free to sleep."""
     return group.parameters.get("cpu_dma_latency_us")
 
 
 def _others(group: Group) -> dict[str, object]:
-    """Parameters that are not of one layer alone and not the default: a suite without an option has its default."""
+    """Parameters that belong to both layers and are not the default: a suite without an option has its default."""
     known = options()
     return {
         key: value

@@ -1,4 +1,4 @@
-"""Measured responses of periodic nodes beside the bound of response-time analysis, and what a larger one tells."""
+"""Measured responses of periodic nodes beside the bound of response-time analysis, and what it means to exceed it."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,9 +19,9 @@ _NAMED = 4
 class NodeBound:
     """A node with its measured worst response and the bound on it, ns.
 
-    The bound would hold if what was measured were the longest that can be: the CPU time of each node, and `wakes_ns`,
-    by how much the node of this CPU that no other comes before began late. `why_not` says why there is no bound,
-    `broken` what was seen of the assumption that does not hold where a response is above it.
+    The bound holds if the measured maxima are the true ones: the CPU time of each node, and `wakes_ns`, how late the
+    node of this CPU began that no other comes before. `why_not` says why there is no bound. Where a response is above
+    the bound, `broken` says which assumption was seen not to hold.
     """
 
     node: str
@@ -56,7 +56,7 @@ def _bound(of: MeasuredTopology, node: TopologyNode) -> NodeBound:
         return replace(known, why_not=why_not)
     costs = {name: each.cpu.max_ns or 0 for name, each in figures.items()}
     task, *others = (
-        # Those that come before are given: by how much their priority is higher does not matter.
+        # The nodes that come before are known, so it does not matter how much higher their priority is.
         PeriodicTask(
             name=each.name,
             period_ns=each.period_ns,
@@ -75,7 +75,7 @@ def _bound(of: MeasuredTopology, node: TopologyNode) -> NodeBound:
 
 
 def _before(topology: Topology, node: TopologyNode) -> Iterator[TopologyNode]:
-    """The other nodes that may come before a node on its CPU: of its priority or above, of its own thread, too."""
+    """The other nodes that may come before a node on its CPU: of its priority or above, also of its own thread."""
     own = topology.executor[node.executor]
     for other in topology.nodes:
         executor = topology.executor[other.executor]

@@ -31,7 +31,7 @@ def names_of_sides(study: Study, by: By) -> list[str]:
     if by == "middleware":
         measured = {group.parameters.get("middleware") for group in study.groups}
         return [name for name in middlewares() if name in measured]
-    # The number of a run's name tells the order of the file.
+    # The number in a run's name gives the order of the file.
     runs = sorted((record.run, record.variant) for record in study.records if record.variant)
     return list(dict.fromkeys(variant for _, variant in runs))
 
@@ -39,8 +39,8 @@ def names_of_sides(study: Study, by: By) -> list[str]:
 def split(study: Study, by: By | None = None, names: Sequence[str] = ()) -> tuple[tuple[str, str], tuple[Study, Study]]:
     """The names of two sides and what each of them measured. `names` chooses two where there are more.
 
-    Without `by` the sides are variants where there are some, else kernels. Their groups have no parameter in which the
-    two sides have no value in common: it is what makes the side. So groups that differ in it alone have the same
+    Without `by` the sides are variants where there are some, else kernels. A parameter in which the two sides have no
+    value in common makes the side, so it is removed from their groups. Groups that differ only in it then have the same
     parameters. Raises UsageError when there are no two sides.
     """
     if by is None:

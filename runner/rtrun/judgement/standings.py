@@ -1,4 +1,4 @@
-"""How far each group of a campaign is from its answer: what the rounds of a goal go by."""
+"""How far each group of a campaign is from its answer, which steers the rounds of a goal."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +17,7 @@ def standings(study: Study) -> tuple[Standing, ...]:
 
 
 def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
-    """What reads the answers of a campaign from its results so far; a closed run is read only once."""
+    """A function that reads the answers of a campaign from its results so far; a closed run is read only once."""
     known: Known = {}
 
     def evaluate() -> tuple[Standing, ...]:

@@ -40,8 +40,8 @@ Known = dict[tuple[Path, int], tuple[Digest, ...]]
 class Study:
     """Everything a report says, before it is written down.
 
-    `groups` are judged, and so are `pooled`, groups of boards that are alike taken together. `groups_2014` are those of
-    the series of 2014 of runs of which another one is judged: measured_2014 beside measured, jitter beside lateness.
+    `groups` are judged, and so are `pooled`, which join the groups of boards that are alike. `groups_2014` hold the
+    series of 2014 of runs that are judged by another series: measured_2014 beside measured, jitter beside lateness.
     """
 
     source: Source
@@ -55,7 +55,7 @@ class Study:
 
     @property
     def answers(self) -> tuple[Group, ...]:
-        """What is answered: alike boards together first, each followed by its boards, then what is of one board."""
+        """The groups that get an answer: pooled ones first, each followed by its boards, then those of one board."""
         alone = [group for group in self.groups if group.key not in self.members]
         return (*(each for group in self.pooled for each in (group, *group.members)), *alone)
 
@@ -78,7 +78,7 @@ class Study:
 
     @property
     def asked(self) -> Question:
-        """The question, which names what its groups are judged by where that is one thing."""
+        """The question; it names the series that its groups are judged by, where that is the same for all."""
         of = {group.of for group in self.groups}
         return replace(self.question, of=of.pop() if len(of) == 1 else None)
 
@@ -116,10 +116,10 @@ def study(
 ) -> Study:
     """Examine what is at a path: a folder of runs, one run, a log or an npy.
 
-    `known` holds the runs of an earlier call for the same question and is extended: they are not read again. What only
-    bounds and comparisons need is not in there.
-    Raises UsageError when there is nothing to examine, or runs of several platforms; a run that is refused is told in
-    ``left_out``.
+    `known` holds the runs of an earlier call for the same question and is extended: they are not read again. It does
+    not hold what only bounds and comparisons need.
+    Raises UsageError when there is nothing to examine, or runs of several platforms; ``left_out`` names runs that are
+    refused.
     """
     source = reading.find_source(path)
     records, refused = _read_records(source.folders)
@@ -170,7 +170,7 @@ def study(
 
 
 def _same_measurements(digests: Sequence[JudgedDigest]) -> dict[str, str]:
-    """Runs alike that hold what another one holds, by name: each with a line that names both."""
+    """Runs of one kind, by name, that hold what another one holds, each with a line that names both."""
     counts: dict[str, list[tuple[str, Histogram]]] = {}
     places: dict[str, list[tuple[str, Trials]]] = {}
     for one in digests:
@@ -199,7 +199,7 @@ def _same_measurements(digests: Sequence[JudgedDigest]) -> dict[str, str]:
 class _Basis:
     """What every group of a study is judged with: the question, the records by run, and what was attempted beside.
 
-    `read_again` gives the digests of a run, so many first loops left out of their trials.
+    `read_again` gives the digests of a run without so many first loops in their trials.
     """
 
     question: Question
@@ -210,7 +210,7 @@ class _Basis:
 
 @dataclass(frozen=True, kw_only=True)
 class _DigestedRun:
-    """The complete series of a run, and what of it is left out, a line each; all of it where it is `unreadable`."""
+    """The complete series of a run, and a line for each part left out: the whole run where it is `unreadable`."""
 
     digests: tuple[Digest, ...] = ()
     left_out: tuple[str, ...] = ()
@@ -220,7 +220,7 @@ class _DigestedRun:
 def _read_records(folders: Sequence[Path]) -> tuple[dict[Path, RunRecord], dict[Path, str]]:
     """The records of run directories, and why others are refused.
 
-    Runs of one name, which were measured into several folders and put together here, are told by their folders' names.
+    Runs of one name, measured into several folders and put together here, take the names of their folders.
     """
     records, refused = {}, {}
     for folder in showing_progress(folders, "reading run"):
@@ -272,7 +272,7 @@ def _check_platform(path: Path, digests: Sequence[Digest]) -> None:
 
 
 def _check_of(path: Path, records: Iterable[RunRecord], question: Question) -> None:
-    """Refuse a question of what no run measures; a run that does not is left out when it is read."""
+    """Refuse a question about what no run measures; if only some runs do not, they are left out when read."""
     wrong: dict[str, str] = {}
     suites = {record.suite for record in records}
     for suite in sorted(suites):
@@ -294,9 +294,9 @@ def _grouped(digests: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) ->
 
 
 def _pooled(groups: Sequence[Group], basis: _Basis) -> Iterator[Group]:
-    """Yield groups that were measured on several boards in the same environment as one; boards are its clusters.
+    """Yield one group for those measured on several boards in the same environment; boards are its clusters.
 
-    Of imported files the environment is not known.
+    The environment of imported files is not known.
     """
     alike: dict[str, list[Group]] = {}
     for group in groups:
@@ -334,7 +334,7 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
 
 
 def _without_startup(alike: Sequence[JudgedDigest], basis: _Basis) -> tuple[Sequence[JudgedDigest], StartUp | None]:
-    """The same digests, the start-up that their runs have in common left out of their trials, if there is one."""
+    """The digests, with the start-up that their runs have in common left out of their trials; and that start-up."""
     by_run: dict[str, list[JudgedDigest]] = {}
     for one in alike:
         by_run.setdefault(one.run, []).append(one)
@@ -349,7 +349,7 @@ def _startup_loops(one: JudgedDigest) -> int:
 
 
 def _read_again(one: JudgedDigest, startup_loops: int, basis: _Basis) -> JudgedDigest:
-    """The same series, so many first loops left out of its trials. Raises UsageError when it is not there any more."""
+    """The same series without so many first loops in its trials. Raises UsageError when it is gone."""
     series = one.header.output, one.header.series
     for again in basis.read_again(one.run, startup_loops):
         if isinstance(again, JudgedDigest) and (again.header.output, again.header.series) == series:

@@ -24,8 +24,8 @@ from rtrun.results.topology_record import (
 class MeasuredTopology:
     """Runs of a topology that are alike.
 
-    `nodes` and `hops` are of all of them: counts added up, of times the worst. `shown` is the run whose critical path
-    took longest, by its name `run`.
+    `nodes` and `hops` combine all runs: counts are added up, and the worst times taken. `shown` is the run whose
+    critical path took longest; `run` is its name.
     """
 
     label: str
@@ -130,7 +130,7 @@ def _hop(alike: Sequence[HopFigures]) -> HopFigures:
 
 
 def _worst(spreads: Iterable[Spread]) -> Spread:
-    """The largest of all; a median of several runs cannot be told from theirs."""
+    """The largest of all; a median of several runs cannot be derived from their medians."""
     known = [each for each in spreads if each.max_ns is not None]
     median_ns = known[0].median_ns if len(known) == 1 else None
     return Spread(

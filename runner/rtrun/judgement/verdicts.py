@@ -13,10 +13,10 @@ from rtrun.judgement.groups import Group
 from rtrun.kinds.lateness import absent_in_words, is_late
 from rtrun.plan.question import NONE_TOLERATED, STALL_NS, UNKNOWN_PERIOD_NS
 
-# Fewer boots say too little of how boots differ: Student's t widens by more than twice (docs/analysis.md).
+# Fewer boots say too little about how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
 _LOST_SHOWN = 3
-# In this order a reader has to see the answers.
+# The order in which a reader has to see the answers.
 WORST_FIRST = (
     *(Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN),
     *(Answer.NO_STATEMENT, Answer.NO_DEADLINE),
@@ -112,7 +112,7 @@ def startup_in_words(verdict: Verdict) -> str:
 
 
 def hidden_in_words(verdict: Verdict) -> str:
-    """What was attempted, or happened, and nobody saw: it counts as late; empty where there is nothing."""
+    """Attempts without values, and time that load hid, which count as late; empty where there are none."""
     parts = []
     if verdict.lost:
         total = verdict.runs + len(verdict.lost)
@@ -128,7 +128,7 @@ def hidden_in_words(verdict: Verdict) -> str:
 
 
 def _episodes(verdict: Verdict) -> str:
-    """How often misses come, near ones as one, and how long that lasts; empty where neither is known."""
+    """How often episodes of misses come, and how long they last; empty where neither is known."""
     found = verdict.episodes
     if found is None or (found.per_hour_at_most is None and not found.seen):
         return ""
@@ -157,7 +157,7 @@ def scope_in_short(verdict: Verdict) -> str:
 
 
 def boots_in_words(verdict: Verdict) -> str:
-    """Of which boots a verdict speaks, or of which boards."""
+    """Which boots, or boards, a verdict is about."""
     if verdict.boards > 1:
         return f"for the {verdict.boards} boards together"
     if verdict.boots is None or verdict.unlike_share is None:
@@ -173,19 +173,19 @@ def _bursts_in_words(verdict: Verdict) -> str:
 
 
 def held_for(verdict: Verdict) -> str:
-    """The bursts that it holds for, as they are, where nothing else is missing."""
+    """The bursts that a verdict holds for, if nothing else is missing."""
     whole = math.floor(verdict.longest_burst)
     return f"bursts of up to {grouped(whole)} misses" if whole > 1 else "misses that come singly"
 
 
 def is_short_of_bursts(verdict: Verdict) -> bool:
-    """Whether it would be proven if it had to cover misses that come singly alone."""
+    """Whether it would be proven if it had to cover only misses that come singly."""
     is_open = verdict.answer is Answer.NEEDS_MORE and verdict.change is None and not verdict.boots_missing
     return is_open and 0 < verdict.longest_burst < verdict.bursts.length
 
 
 def _covered(verdict: Verdict) -> str:
-    """The bursts that a proof has to cover though nobody named them, and why; empty where somebody did."""
+    """The bursts that a proof covers by default, and why; empty where the question names them."""
     bursts = verdict.bursts
     long = f"bursts of {grouped(bursts.length)} misses" if bursts.length > 1 else "a single miss"
     match bursts.why:
@@ -201,7 +201,7 @@ def _covered(verdict: Verdict) -> str:
 
 
 def _of_whom(verdict: Verdict) -> list[str]:
-    """The boots, boards and hours that an answer holds for, and those that it does not know."""
+    """The boots, boards and hours that an answer holds for, and those that are unknown to it."""
     return _boots(verdict) + [words for each in verdict.unlike if (words := _unlike_in_words(each))]
 
 
@@ -218,7 +218,7 @@ def _scope(verdict: Verdict) -> list[str]:
 
 
 def _unlike_in_words(unlike: Unlike) -> str:
-    """What may be otherwise than what was measured; of boots, and of a single run or board, others say it."""
+    """What may differ from what was measured; other sentences cover boots, and a single run or board."""
     if unlike.unit == "hour":
         return f"measured in {unlike.measured} of the {HOURS} hours of a day" if unlike.measured < HOURS else ""
     if unlike.unit == "boot" or unlike.measured < 2:

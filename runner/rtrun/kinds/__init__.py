@@ -1,1 +1,1 @@
-"""How is a kind of measurement read? One module a kind, `known.py` has them all."""
+"""How is a kind of measurement read? One module for each kind; `known.py` has them all."""

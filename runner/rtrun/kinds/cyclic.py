@@ -1,4 +1,4 @@
-"""A cyclic timer: how late its callback came, and how far two of them lay apart."""
+"""A cyclic timer: how late its callbacks came, and how far apart two of them were."""
 
 import re
 from pathlib import Path
@@ -15,13 +15,13 @@ LATENESS, JITTER, GRID = "lateness", "jitter", "grid"
 """Its series."""
 # Clocks that NTP disciplines drift from others by 500 ppm at most.
 _NTP_DRIFT = 5e-4
-# So many calls in a row are not all interrupted between their two stamps.
+# This many calls in a row are never all interrupted between their two stamps.
 _FEW_CALLS = 16
 _LEAST_STEP_NS = 1_000_000  # NTP steps a clock by more, and slews it by less
 
 
 def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
-    """Lateness of each call, jitter of each period, and the grid from the first timestamp; from the second one on."""
+    """Lateness of each call, jitter of each period, and the grid from the first timestamp; all from the second on."""
     timestamp = np.asarray(columns["timestamp_ns"])
     check_times(path, timestamp)
     agree(path, "measured periods", max(len(timestamp) - 1, 0), stated.measured)
@@ -37,10 +37,10 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
 
 
 def _lateness(columns: Columns, stated: Stated, path: Path, period_ns: int) -> IndexedValues:
-    """How late each call is against the grid that the middleware keeps, whose skipped periods are absent.
+    """How late each call is on the grid that the middleware keeps; skipped periods are absent.
 
-    roscpp moves its grid when it is two periods behind, rcl when it is one: what it moves it by beyond whole periods
-    is lateness of the call there, and the whole periods are skipped. So nothing is made up for by moving the grid.
+    roscpp moves its grid when it is two periods behind, rcl when it is one. The whole periods of such a move count as
+    skipped, the rest as lateness of the call there. So a move of the grid hides nothing.
     """
     expected, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
     check_wall_times(path, expected, real)
@@ -66,9 +66,9 @@ def _lateness(columns: Columns, stated: Stated, path: Path, period_ns: int) -> I
 
 
 def _clock_was_set(offset: Int64s, period_ns: int) -> str:
-    """Why calls are neither late nor in time: the timer's grid jumped with the wall clock; empty where it did not.
+    """Why calls are neither late nor in time: the timer's grid jumped with the wall clock. Empty if it did not.
 
-    `offset`, int64 (n,), is the wall clock less that of the timestamps, a little less where a thread was interrupted
+    `offset`, int64 (n,), is the wall clock minus the clock of the timestamps; a little less if a thread was interrupted
     between the two stamps of a call. So its highest value among a few calls shows whether one of the clocks was set.
     """
     if not offset.size:
@@ -84,7 +84,7 @@ def _clock_was_set(offset: Int64s, period_ns: int) -> str:
 
 
 def _grid_ns(periods: Any, frequency_hz: int) -> Any:
-    """So many periods, an int or an array of them, to the nearest nanosecond; in whole numbers, so it never drifts."""
+    """The length of `periods`, an int or an array, to the nearest nanosecond; in whole numbers, so it never drifts."""
     return (2 * periods * 10**9 + frequency_hz) // (2 * frequency_hz)
 
 

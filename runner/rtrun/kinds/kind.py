@@ -15,11 +15,11 @@ Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reac
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogForm:
-    """The logs that a suite wrote in 2014 and writes still, gnuplot scripts with the data in them.
+    """The logs that a suite wrote in 2014 and still writes: gnuplot scripts with the data in them.
 
-    `main` is the series that the suite was about in 2014. `summary` is the line that says how many were asked for,
-    `series` the series of a log by what its name ends with, `labels` those of its lines of figures by how these begin;
-    `missing_as_value`: a missing message stands there as a value of -1 us.
+    `main` is the series that the suite was about in 2014. `summary` is the line with the number of values that were
+    asked for. `series` has the series of a log by the end of its name, `labels` those of its lines of figures by how
+    the lines begin. `missing_as_value`: the log has a missing message as a value of -1 us.
     """
 
     suite: str
@@ -34,22 +34,21 @@ class LogForm:
 class StreamKind:
     """A kind of stream: values of one thing in programs that run already.
 
-    `word` stands before the name of one. A stream is written as a run of `suite`, which `summary` describes, with these
-    `columns`. A deadline names a stream by its
-    parameter `named_by`; without a word where that `is_plain`.
+    `word` precedes the name of a stream. A stream is written as a run of `suite`, which `summary` describes, with these
+    `columns`. A deadline names a stream by its parameter `named_by`; with `is_plain`, without the word.
 
-    `words` are templates of what tells a stream from others, each left out where a parameter of it is missing.
-    `begins_with` is a parameter that begins with what the stream is, and stands there instead of the word; `hidden`
-    are parameters that the words tell in another way, `usual` values that go without saying.
+    `words` are templates of what tells a stream from others; a template is left out if the stream lacks one of its
+    parameters. `begins_with` is a parameter that begins with what the stream is, and is used instead of the word.
+    `hidden` are parameters that the words show in another way, `usual` are values that go without saying.
 
-    `at` is the column that says when a value was there, `index` the one that numbers the values; empty: the row does.
-    Where `is_between_rows`, a value lies between two rows of one segment. `filled` are columns that may be missing: a
-    number, or another column. `has_period`: its samples need the period.
+    `at` is the column with the time at which a value was there, `index` the column that numbers the values; empty: the
+    row does. With `is_between_rows`, a value lies between two rows of one segment. `filled` are columns that may be
+    missing, each with a number or another column instead. `has_period`: its samples need the period.
 
-    `overdue` is a sentence about what had not come at the end, with the time since.
+    `overdue` is a sentence about a value that had not come at the end, with the time since.
 
-    `is_shown` while observed, even without a deadline; `is_traced`: late values of it can have a trace;
-    `is_of_topologies`: only the nodes of a topology can tell it, which write down when they were due.
+    `is_shown`: it is shown while observed, even without a deadline. `is_traced`: its late values can have a trace.
+    `is_of_topologies`: only the nodes of a topology can report it, since they write down when they were due.
     """
 
     word: str
@@ -85,7 +84,7 @@ class StreamKind:
         return name if self.is_plain else f"{self.word}:{name}"
 
     def in_words(self, parameters: Mapping[str, object]) -> tuple[str, frozenset[str]]:
-        """A stream in a few words, and the parameters that these tell, where it has them."""
+        """A stream in a few words, and the parameters that these words show, if the stream has them."""
         parts = [*self.words, f"{{{self.begins_with}}}", *(f"{{{key}}}" for key in self.hidden)]
         keys = frozenset(re.findall(r"{(\w+)}", " ".join(parts)))
         told = {key: value for key, value in parameters.items() if key in keys and value is not None}
@@ -98,20 +97,20 @@ class StreamKind:
 class MeasurementKind:
     """A kind of measurement.
 
-    `series` makes the series of the samples from their columns, each of shape (rows,), the first of which is what the
-    suite is about; it raises UsageError, which names the file, where the rows disagree with what is stated of them.
-    `called` says what a question calls a series; of two by one name the first in the samples is meant. `times` are the
-    moments at which the values of a series were measured, int64 (n,).
+    `series` makes the series of the samples from their columns, each of shape (rows,). The first series is what the
+    suite is about. `series` raises UsageError, with the file, if the rows disagree with what is stated about them.
+    `called` has the name of each series in questions; if two share a name, the first in the samples is meant. `times`
+    gives the moments at which the values of a series were measured, int64 (n,).
 
-    `subject` says in words what the values of a series are of, after its name: "of the timer".
+    `subject` follows the name of a series and states what its values belong to: "of the timer".
 
-    `startup` says of how many loops at the start of a run the values of a series stand apart, as in the thesis.
-    `clustered` are those that may have a cluster of negative values, with what a report calls them.
-    `layer_below` is the baseline, or the kind, that measures what this one's values are on top of.
+    `startup` has, by series, the number of loops at the start of a run whose values stand apart, as in the thesis.
+    `clustered` are the series that may have a cluster of negative values, with their names in a report.
+    `layer_below` is the baseline, or the kind, that measures the layer below this kind.
 
     `logs` is the form of its logs of 2014; None: there were none. `stream` is how it is observed; None: it is not.
-    `has_steps`: a value is on its way between two programs, and the steps of that can be told (causes/steps.py).
-    `is_of_callbacks`: what was measured is a callback itself, and no callback before it is a reason.
+    `has_steps`: a value travels between two programs, and its steps can be found (causes/steps.py).
+    `is_of_callbacks`: the measured thing is itself a callback, so no earlier callback is a cause.
     """
 
     series: Callable[[Columns, Stated, Path], dict[str, IndexedValues]]

@@ -1,4 +1,4 @@
-"""The kinds of measurement that there are, by the names that suites.yml has for them."""
+"""All kinds of measurement, by their names in suites.yml."""
 
 from rtrun.kinds import age, callback, cyclic, interval, messages, oneshot, path, response, timer
 from rtrun.kinds.kind import LogForm, Measure, MeasurementKind, StreamKind
@@ -17,13 +17,13 @@ KINDS: dict[str, MeasurementKind] = {
 STREAMS: dict[str, StreamKind] = {kind.stream.word: kind.stream for kind in KINDS.values() if kind.stream}
 """The kinds of streams, by their words."""
 LOGS: dict[str, LogForm] = {kind.logs.suite: kind.logs for kind in KINDS.values() if kind.logs}
-"""The form of the logs of each suite that wrote some in 2014."""
+"""The form of the logs of each suite that wrote logs in 2014."""
 MAIN_2014 = frozenset(form.main for form in LOGS.values())
 """The series that the suites were about in 2014."""
 MAIN_ONLY_IN_2014 = frozenset(
     kind.logs.main for kind in KINDS.values() if kind.logs and kind.logs.main != next(iter(kind.called))
 )
-"""Those of which today's suites are about another one."""
+"""Those of these series that today's suites are not about."""
 
 
 CLUSTERED = {series: words for kind in KINDS.values() for series, words in kind.clustered.items()}
@@ -31,10 +31,10 @@ CLUSTERED = {series: words for kind in KINDS.values() for series, words in kind.
 
 
 def startup_loops(series: str) -> int:
-    """Of how many loops at the start of a run the values of a series stand apart."""
+    """The number of loops at the start of a run whose values of a series stand apart."""
     return next((kind.startup[series] for kind in KINDS.values() if series in kind.startup), 0)
 
 
 def called(series: str) -> Measure | None:
-    """What a question calls a series by this name; None for one that no question is of."""
+    """What a question calls the series of this name; None if no question is about it."""
     return next((kind.called[series] for kind in KINDS.values() if series in kind.called), None)

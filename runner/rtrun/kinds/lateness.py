@@ -1,8 +1,8 @@
-"""What a deadline is compared with, and what counts as a miss. Whoever needs to know asks here.
+"""What a deadline is compared with, and what counts as a miss. All other modules ask here.
 
-A value above its deadline is late; one that equals it is in time. What has no value is a miss too: a message that never
-came, a period that was skipped, a timer that did not fire, a call that never ended. What had not come at the end is one
-as soon as it was open for longer than the deadline.
+A value above its deadline is late; a value equal to it is in time. A missing value is a miss, too: a message that never
+came, a period that was skipped, a timer that did not fire, a call that never ended. A value that had not come at the
+end is a miss as soon as it was open for longer than the deadline.
 """
 
 from collections.abc import Sequence
@@ -16,17 +16,17 @@ from rtrun.kinds.kind import Measure
 from rtrun.kinds.values import Bools, Int64s
 
 Of = Literal["lateness", "jitter"]
-"""The values that a question may name. Lateness is how late something came that was due: every latency is one."""
+"""The values that a question may name. Lateness is how late something came that was due: a latency is a lateness."""
 LATENESS: Of = "lateness"
 JITTER: Of = "jitter"
-# What is missing of these is a period without a call.
+# A missing value of these is a period without a call.
 _OF_PERIODS: tuple[Measure, ...] = ("lateness", "response")
 
 
 def judged(measures: Sequence[Measure], of: Measure | None) -> Measure:
-    """Which of these a question is of: what it names, or the first one; a latency is the lateness of its subject.
+    """Which of these a question is about: what it names, or the first one; a latency is the lateness of its subject.
 
-    Raises UsageError where none is.
+    Raises UsageError if the named one is not measured.
     """
     if of is None or of in measures:
         return of or measures[0]
@@ -41,7 +41,7 @@ def is_late(value_ns: int, deadline_ns: int) -> bool:
 
 
 def are_late(values_ns: Int64s, deadline_ns: int, width_ns: Int64s | int = 1) -> Bools:
-    """Which values are late, of shape (n,); of bins, given by their lower edges and their width, which may be."""
+    """Which values are late, shape (n,); for bins, given by lower edges and width, which may contain late values."""
     return np.asarray(values_ns > deadline_ns - width_ns + 1)
 
 

@@ -1,7 +1,7 @@
-"""What a number in a file or an answer of a target can be: a type for each quantity, for who writes and who reads it.
+"""The bounds of numbers in files and in answers of a target: a type for each quantity, for its writers and readers.
 
-Where the kernel has a bound, it is that one. The others lie far above what is measured, and low enough that what is
-computed from such numbers stays within 64 bits. The numbers of a suite's options have theirs in suites.yml.
+If the kernel has a bound, that is used. The others lie far above what is measured, and low enough that what is computed
+from such numbers fits into 64 bits. The bounds of a suite's options are in suites.yml.
 """
 
 from typing import Annotated, TypeVar
@@ -17,7 +17,7 @@ WALL_TIME_MAX_NS = 2**32 * 10**9
 UPTIME_MAX_S = TIME_MAX_NS // 10**9
 # A measurement every 100 us for three years.
 COUNT_MAX = 10**12
-# What steps less often measures nothing.
+# A clock that steps less often measures nothing.
 CLOCK_STEP_MAX_NS = 10**9
 SIZE_MAX_BYTES = 2**50
 # PID_MAX_LIMIT of the kernel.
@@ -26,19 +26,19 @@ PID_MAX = 2**22
 CPUS_MAX = 8192
 # sched_get_priority_max(2).
 RT_PRIORITY_MAX = 99
-# Of what measures: the ROS master needs the priority above it (thesis 4.4), and 99 belongs to the kernel.
+# For measuring threads: the ROS master needs the priority above theirs (thesis 4.4), and 99 belongs to the kernel.
 MEASURING_PRIORITY_MAX = 97
-# Either way: a sensor without a reading may say -274 degrees (THERMAL_TEMP_INVALID), a broken one anything.
+# In both directions: a sensor without a reading may report -274 degrees (THERMAL_TEMP_INVALID), a broken one anything.
 TEMPERATURE_MAX_MC = 1_000_000
 FREQUENCY_MAX_KHZ = 10**8
 # sched_rt_runtime_us is an int of C; -1 stands for no limit.
 RT_RUNTIME_MAX_US = 2**31 - 1
-# max_cfs_runtime of the kernel; its longest period is a second, that of real-time threads may be as long as the above.
+# max_cfs_runtime of the kernel. Its longest period is a second; that of real-time threads may be RT_RUNTIME_MAX_US.
 QUOTA_MAX_US = 2**44
 EXIT_STATUS_MAX = 255
-# Rows of a run in an archive's table of histograms: one for each step of the clock where a value is. 100 MB in memory.
+# Rows of a run in an archive's table of histograms: one for each step of the clock with a value. 100 MB in memory.
 BINS_MAX = 2**22
-# PM QoS of the kernel holds it in an int of C.
+# The kernel's PM QoS holds it in an int of C.
 CPU_DMA_LATENCY_MAX_US = 2**31 - 1
 # Once in a nanosecond.
 RATE_MAX_HZ = 10**9

@@ -1,4 +1,4 @@
-"""Messages: how long after its publication one came, and which never did."""
+"""Messages: how long after its publication each one came, and which never came."""
 
 import re
 from pathlib import Path
@@ -13,14 +13,14 @@ from rtrun.kinds.values import IndexedValues, Int64s, no_values
 LATENCY, HANDLED = "latency", "handled"
 """Its series."""
 NOT_SEEN_NS = -(2**63)
-"""Instead of a time that nothing has seen."""
+"""Instead of a time that was not seen."""
 
 
 def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
     publication, reception, arrived = columns["publication_ns"], columns["reception_ns"], columns["seq"]
     check_times(path, publication, reception)
     is_in_order = bool(np.all(arrived[1:] > arrived[:-1]))
-    # Most samples are in order. To sort them would take longer than all the figures.
+    # Most samples are in order. Sorting them would take longer than all the figures.
     seq, order = (arrived, slice(None)) if is_in_order else np.unique(arrived, return_index=True)
     first, last = (int(seq[0]), int(seq[-1])) if seq.size else (0, -1)
     if first < 0 or last >= stated.asked:
@@ -32,7 +32,7 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
             f"{disagree(path)}: seq: {len(arrived) - len(seq)} numbers stand in the rows again, which hold each once"
         )
     agree(path, "measured", len(seq), stated.measured)
-    # A subscriber that did not see the last message knows of the gaps between those that came only.
+    # A subscriber that did not see the last message knows only the gaps between the messages that came.
     missing = range(last + 1 - len(seq), stated.asked - len(seq) + 1)
     if stated.missing not in (missing[-1:] if stated.is_complete else missing):
         agree(path, "missing", missing[-1], stated.missing)

@@ -1,4 +1,4 @@
-"""Paths: how long after the first topic of a path its last one reacted."""
+"""Paths: how long after the first topic of a path its last topic reacted."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Responses: how long after it was due a node of a topology had done its work."""
+"""Responses: how long after its due time a node of a topology had done its work."""
 
 from functools import partial
 

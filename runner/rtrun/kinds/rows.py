@@ -1,4 +1,4 @@
-"""What the kinds have in common: rows of samples checked against the counts and against what times can be."""
+"""What the kinds share: checks of the rows of samples against the counts, and against the possible range of times."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ Columns = Mapping[str, Int64s]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stated:
-    """What the json beside the samples says of them: how many were asked for, and what became of them.
+    """What the json next to the samples states about them: how many were asked for, and what became of them.
 
-    `skipped` are periods in which nothing came, None where that is not said; `requested` are the parameters.
+    `skipped` counts periods in which nothing came, None if that is not stated; `requested` are the parameters.
     """
 
     asked: int
@@ -46,29 +46,29 @@ def agree(path: Path, what: str, rows: int, counts: int) -> None:
 def check_times(path: Path, *columns: Int64s) -> None:
     for column in columns:
         for piece in pieces(column.size):
-            part = np.ascontiguousarray(column[piece])  # a row after the other in the file: a copy is searched faster
+            part = np.ascontiguousarray(column[piece])  # the file is stored by rows: a copy is searched faster
             if int(part.min()) < -TIME_MAX_NS or int(part.max()) > TIME_MAX_NS:
                 raise UsageError(f"{path}: a time beyond {TIME_MAX_NS} ns cannot be")
 
 
 def check_uptimes(path: Path, *columns: Int64s) -> None:
-    """Times of a clock that counts from the start of the target: what lies between two of them is a time, too."""
+    """Check times of a clock that counts from the start of the target: the time between two of them is valid, too."""
     check_times(path, *columns)
     if any(column.size and int(column.min()) < 0 for column in columns):
         raise UsageError(f"{path}: a time before the target started cannot be")
 
 
 def check_wall_times(path: Path, *columns: Int64s) -> None:
-    """Times of a clock that may count from 1970, as ROS time does."""
+    """Check times of a clock that may count from 1970, as ROS time does."""
     for column in columns:
         if column.size and not 0 <= int(column.min()) <= int(column.max()) <= WALL_TIME_MAX_NS:
             raise UsageError(f"{path}: a time of the wall clock below 0 or above {WALL_TIME_MAX_NS} ns cannot be")
 
 
 def within_segments(segment: Int64s | None, rows: int) -> NDArray[np.bool_]:
-    """Of each row but the first whether it follows the one before it without a gap, shape (rows - 1,).
+    """Whether each row but the first follows the row before it without a gap, shape (rows - 1,).
 
-    `segment`, shape (rows,), numbers what was seen without a gap; None: there was none.
+    `segment`, shape (rows,), numbers the pieces without a gap; None: there was no gap.
     """
     if segment is None:
         return np.ones(max(rows - 1, 0), dtype=bool)
@@ -76,9 +76,9 @@ def within_segments(segment: Int64s | None, rows: int) -> NDArray[np.bool_]:
 
 
 def not_come(stated: Stated, measured: int, rows: int, what: str, path: Path) -> Int64s:
-    """The number of a value that had not come when the observation ended, beyond its deadline already: int64, 0 or 1.
+    """The number of the value that was overdue when the observation ended, if there is one: int64, (0,) or (1,).
 
-    `what` names them, for the UsageError that is raised then.
+    Raises UsageError, with `what` as the name of such values, if there is more than one.
     """
     missing = stated.missing
     agree(path, "missing", stated.asked - measured, missing)
@@ -88,7 +88,7 @@ def not_come(stated: Stated, measured: int, rows: int, what: str, path: Path) ->
 
 
 def without(present: Int64s, number: int) -> Int64s:
-    """Which of so many loops are not among those present, ascending."""
+    """The loops, of `number` in all, that are not in `present`; ascending."""
     absent = np.ones(number, dtype=bool)
     absent[present] = False
     return np.flatnonzero(absent).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Spans: what kinds have in common whose values have a begin and an end."""
+"""Spans: what kinds share if their values have a begin and an end."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ def series(name: str, columns: Columns, stated: Stated, path: Path) -> dict[str,
     values = np.asarray(end - begin)
     if values.size and int(values.min()) < 0:
         raise UsageError(f"{path}: row {int(values.argmin())} ends before it begins")
-    # What never ended is known by its number alone: it counts as late, after all the others.
+    # A span that never ended is known only by its number: it counts as late, after all the others.
     absent = np.arange(values.size, values.size + stated.missing)
     return {name: IndexedValues(values_ns=values, index=np.arange(values.size), absent=absent)}
 

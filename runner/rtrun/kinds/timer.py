@@ -20,12 +20,12 @@ from rtrun.kinds.rows import (
 from rtrun.kinds.values import IndexedValues, Int64s, no_values
 
 UNKNOWN_NS = -1
-"""Instead of the time at which a call was due, where that is not known."""
+"""Instead of the time at which a call was due, if that is not known."""
 _NOT_KNOWN = "when the timer was due is not known: ask for the jitter (--of jitter)"
 
 
 def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
-    """Lateness of each call and jitter of each period, but for the first call of what was seen without a gap."""
+    """Lateness of each call and jitter of each period, except for the first call of each segment."""
     called, period_ns = np.asarray(columns["timestamp_ns"]), _period_ns(stated, path)
     check_times(path, called)
     row = np.flatnonzero(within_segments(columns["segment"], called.size)) + 1
@@ -36,13 +36,13 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
 
 
 def _lateness(columns: Columns, row: Int64s, period_ns: int, overdue: int, path: Path) -> IndexedValues:
-    """How late each call is on the grid of the timer, whose periods without a call are absent."""
+    """How late each call is on the grid of the timer; periods without a call are absent."""
     due, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
     if np.any(due == UNKNOWN_NS):
         return IndexedValues(values_ns=no_values(), index=no_values(), undecidable=_NOT_KNOWN)
     check_wall_times(path, due, real)
     check_times(path, real - due)
-    # To the nearest period: the grid of a timer has steps of whole ones, but for the rounding of its clock.
+    # To the nearest period: the grid of a timer moves by whole periods, except for the rounding of its clock.
     skipped = np.maximum((due[row] - due[row - 1] + period_ns // 2) // period_ns - 1, 0)
     if (total := int(skipped.sum(dtype=np.float64))) > MAX_ABSENT:
         raise UsageError(f"{path}: {total} periods were skipped: none with more than {MAX_ABSENT} is read")

@@ -19,8 +19,8 @@ def no_values() -> Int64s:
 class IndexedValues:
     """Values in nanoseconds and the index of each measurement, both of shape (n,).
 
-    `absent`, int64 (a,), ascending, are the loops without a value, counted with them: what did not fire, is missing or
-    was skipped. `undecidable` says why no answer can rest on the values.
+    `absent`, int64 (a,), ascending, are the loops without a value, numbered together with those that have one: they did
+    not fire, are missing or were skipped. `undecidable` is the reason why no answer can rest on the values, or empty.
     """
 
     values_ns: Int64s
@@ -30,6 +30,6 @@ class IndexedValues:
 
 
 def pieces(n: int, least: int = PIECE) -> Iterator[slice]:
-    """Cut n values into pieces of PIECE, or of `least` where that is more."""
+    """Cut n values into pieces of PIECE, or of `least` if that is more."""
     length = max(PIECE, least)
     return (slice(start, start + length) for start in range(0, n, length))

@@ -1,1 +1,1 @@
-"""What shall be measured: suites, conditions, and the campaign that combines them. Nothing here knows a target."""
+"""What to measure: suites, conditions, and the campaign that combines them. Nothing here knows a target."""

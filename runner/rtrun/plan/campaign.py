@@ -38,16 +38,16 @@ from rtrun.plan.trace import read_trace, too_few, traced, with_warm_ups
 
 SUBSCRIBERS_MAX = 64
 REPEATS_MAX = 10_000
-# At a second each, runs enough for a day. A few lists multiply to many millions.
+# At a second each, enough runs for a day. A few lists can multiply to many millions.
 RUNS_MAX = 100_000
 # Set by the runner alone.
 RESERVED = ("prefix", "out_dir", "awaited_subscribers")
-# What a variant may name beside values of a run: a folder of `rtgen suites build`, relative to the campaign file, and a
-# shell file on the target that sets up ROS; those of the target file where it names none.
+# What a variant may name in addition to values of a run: a folder of `rtgen suites build`, relative to the campaign
+# file, and a shell file on the target that sets up ROS. If it names none, those of the target file are used.
 VARIANT_KEYS = ("suites", "ros_setup")
-# It measures no deadline.
+# The suite that measures no deadline.
 GAP_SEARCH = "hwlatdetect"
-# How long to observe where the campaign does not set it.
+# How long to observe if the campaign does not set it.
 OBSERVED_NS = 60 * 10**9
 
 Entry = dict[str, Any]
@@ -65,19 +65,19 @@ class Campaign(Config):
     schema_: Literal[1] = Field(alias="schema")
     name: Name
     order: Literal["listed", "interleaved"] = "listed"
-    """interleaved: blocks of one repeat of every combination in an order drawn with `seed`, each second reversed."""
+    """interleaved: blocks of one repeat of each combination in an order drawn with `seed`, every other one reversed."""
     seed: Seed | None = None
     common: Entry = Field(default_factory=dict)
     """Values of every run that takes them; a run's own value wins."""
     runs: Annotated[list[Entry], Field(min_length=1)]
     exclude: list[Entry] = Field(default_factory=list)
-    """Combinations to leave out of `runs`: those that have all of the values of one of these."""
+    """Combinations to leave out of `runs`: those that have all values of one of these entries."""
     include: list[Entry] = Field(default_factory=list)
     """Runs on top of that; nothing is left out of them."""
     variants: dict[Name, Entry] = Field(default_factory=dict)
-    """Every run is planned for each of them: other suites or another ROS (`VARIANT_KEYS`), other values of a run."""
+    """Every run is planned for each variant: other suites or another ROS (`VARIANT_KEYS`), other values of a run."""
     kernels: Annotated[list[KernelName], Field(min_length=1)] | None = None
-    """Every run is planned for each of them, and the target is restarted into it; none: whatever kernel it runs."""
+    """Every run is planned for each kernel, and the target restarts into it; None: whatever kernel the target runs."""
     until: Goal | None = None
     """Measure each run again, round by round, until its deadline is proven or refuted."""
     subject: Annotated[ObservedSystem, BeforeValidator(read_subject)] | None = None
@@ -85,7 +85,7 @@ class Campaign(Config):
     topology: UserPath | None = None
     """A topology file, relative to this one: the graph of nodes that each run starts and measures."""
     for_ns: Time | None = Field(default=None, alias="for")
-    """How long a run observes [1min]. This and the next two are of campaigns with a subject or a topology."""
+    """How long a run observes [1min]. Only campaigns with a subject or a topology have this and the next two."""
     deadlines: list[Annotated[StreamDeadline, BeforeValidator(read_stream_deadline)]] = Field(default_factory=list)
     paths: list[Annotated[tuple[str, ...], BeforeValidator(read_path)]] = Field(default_factory=list)
     """Topics whose reaction time is measured, from the first to the last."""
@@ -111,7 +111,7 @@ class Campaign(Config):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """What a variant has of its own: a folder of suites here, a shell file on the target that sets up ROS."""
+    """What a variant has of its own: a folder of suites here, and a shell file on the target that sets up ROS."""
 
     suites: Path | None = None
     ros_setup: str | None = None
@@ -142,7 +142,7 @@ def variants_of(campaign: Campaign, folder: Path) -> dict[str, Variant]:
 
 
 def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = None) -> tuple[Run, ...]:
-    """Return the runs in their order; `topology` is that of the file which the campaign names.
+    """Return the runs in their order; `topology` comes from the file that the campaign names.
 
     Raises UsageError ``origin:7: runs.0.key: what is wrong, what is allowed``.
     """
@@ -151,7 +151,7 @@ def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = No
     _check_subject(campaign, top, errors)
     _check_common(campaign, top / "common", errors)
     if campaign.until and campaign.until.of:
-        # What is judged is what traces are of, unless the campaign names another series.
+        # Traces are kept of the series that is judged, unless the campaign names another one.
         campaign = campaign.model_copy(update={"common": {TRACE_SERIES: campaign.until.of} | campaign.common})
     _check_variants(campaign, top / "variants", errors)
     if (campaign.order == "interleaved") != (campaign.seed is not None):
@@ -198,7 +198,7 @@ def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = No
 
 
 def _runs_of(entries: Sequence[Entry], campaign: Campaign, where: Place, errors: list[str]) -> list[Run]:
-    """The runs of these entries; no more than one entry's above the limit."""
+    """The runs of these entries. Stops once the limit is exceeded, so at most one entry's runs are above it."""
     runs: list[Run] = []
     for number, entry in enumerate(entries):
         if len(runs) <= RUNS_MAX:
@@ -221,7 +221,7 @@ def _of_variants(entry: Entry, campaign: Campaign, where: Place, errors: list[st
 def _combinations(
     entry: Entry, campaign: Campaign, where: Place, errors: list[str], overrides: Entry | None = None
 ) -> Iterator[Run]:
-    """Yield the runs of an entry, all of their names empty; `overrides` win over its values where it takes them."""
+    """Yield the runs of an entry, all with empty names; `overrides` win over its values if it takes them."""
     observation = campaign.observation
     of_streams = OBSERVATION if campaign.subject else TOPOLOGY
     if campaign.has_streams:
@@ -276,7 +276,7 @@ def _combinations(
         middleware = str(given.get("middleware", suite.middleware))
         parameters = defaults | {key: value for key, value in given.items() if key in takes}
         parameters = {key: value for key, value in parameters.items() if _is_taken(key, middleware)}
-        # Combinations that differ only in what the condition or the middleware does not take are the same run.
+        # Combinations that differ only in values that the condition or the middleware does not take are the same run.
         trace = str(given.get("trace") or "")
         if (key := (*parameters.values(), condition, *taken.values(), trace)) in seen:
             continue
@@ -314,7 +314,7 @@ def _is_taken(key: str, middleware: str) -> bool:
 
 
 def _given(takes: Sequence[str]) -> tuple[str, ...]:
-    """The keys by which a campaign gives what a suite takes."""
+    """The keys by which a campaign sets the parameters of a suite."""
     return tuple("trace" if key == TRACE_PARAMETER else key for key in takes)
 
 
@@ -327,7 +327,7 @@ def _unknown_keys(where: Place, keys: Sequence[str], known: Sequence[str], label
 
 
 def _check_subject(campaign: Campaign, where: Place, errors: list[str]) -> None:
-    """What is of campaigns with a subject, and of those alone."""
+    """Check the keys that belong only to campaigns with a subject or a topology."""
     given = {"for": campaign.for_ns, "deadlines": campaign.deadlines, "paths": campaign.paths}
     if not campaign.has_streams and (key := next((key for key, value in given.items() if value), None)):
         errors.append(f"{where / key}: is for campaigns with subject or topology: give one, or leave this out")

@@ -22,7 +22,7 @@ FILE = Path(__file__).with_name("conditions.yml")
 IDLE = "idle"
 # Loads may run this much longer than the suite's deadline, so that the runner ends them and not their own deadline.
 OUTLIVE_S = 300.0
-# The nodes of a condition send for this multiple of the time that the suite should measure, plus time for a slow start.
+# The nodes of a condition send for this multiple of the suite's expected time, plus time for a slow start.
 MESSAGES_FACTOR = 2
 MESSAGES_EXTRA_S = 120.0
 # Time for loads to start their workers and allocate memory before the suite starts.
@@ -40,9 +40,9 @@ class Load(Config):
 
     argv: Strings
     workers: str = "0"
-    """Processes that it must have all the time, not counting itself."""
+    """The number of processes that it must always have, not counting itself."""
     repeated: str | None = None
-    """The setting that is the number of its instances; none: one instance."""
+    """The setting that gives the number of its instances; None: one instance."""
 
 
 class Condition(Config):
@@ -52,9 +52,9 @@ class Condition(Config):
     loads: dict[str, Load] = Field(default_factory=dict)
     takes: Strings = ()
     middleware: str = NONE
-    """Of its loads, where they are programs of the suites."""
+    """The middleware of its loads, if they are programs of the suites."""
     busy_percent: int = 0
-    """The least share of all CPUs' time, in percent, that must not be idle; only of a load that may use all CPUs."""
+    """The least share of all CPUs' time that must be busy, in percent; only for loads that may use all CPUs."""
 
 
 class Conditions(Config):
@@ -100,7 +100,7 @@ def condition(name: object, where: str) -> Condition:
 
 
 def settings_of(name: str) -> tuple[str, ...]:
-    """The settings that a condition takes; what every condition takes stands last."""
+    """The settings that a condition takes; those that every condition takes come last."""
     return (*conditions().conditions[name].takes, *conditions().pinned, SAMPLER)
 
 
@@ -146,8 +146,8 @@ def background(
 ) -> list[Background]:
     """The programs that run in the background under a condition, in the order of their start.
 
-    `cpus` are those of the target, `programs` the paths of the suites' executables there, `expected_s` and `deadline_s`
-    those of the suite.
+    `cpus` is the number of CPUs of the target, `programs` are the paths of the suites' executables there, `expected_s`
+    and `deadline_s` are the times of the suite.
     """
     load_cpus = str(settings.get("load_cpu") or "")
     lifetime_s = deadline_s + OUTLIVE_S
@@ -209,7 +209,7 @@ def check_cpus(key: str, value: Value, where: str) -> None:
 
 
 def must_be_observed(name: str, settings: Mapping[str, Value]) -> bool:
-    """Whether a run under this condition counts only if the sampler has observed it while it measured."""
+    """Whether a run under this condition counts only if the sampler has observed the condition while it measured."""
     return bool(conditions().conditions[name].loads) or any(settings.get(key) for key in conditions().pinned)
 
 

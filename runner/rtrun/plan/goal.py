@@ -17,23 +17,23 @@ class Goal(Config):
     """``until`` of a campaign: measure until the deadline is proven or refuted, at most for so long."""
 
     deadline_ns: Time | None = Field(default=None, alias="deadline")
-    """None: each stream of what is observed has its own."""
+    """None: each observed stream has its own."""
     probability: Probability
     """What P(miss) must stay below."""
     confidence: Probability = THESIS.confidence
     at_most_ns: Time = Field(alias="at_most")
-    """Time for all of it: runs, what lies between them, and restarts."""
+    """Time for everything: runs, the time between them, and restarts."""
     boots: Annotated[int, Field(ge=1, le=1000)] = 1
-    """How many boots of the target an answer must rest on; above 1 the target is restarted between rounds.
+    """How many boots of the target an answer must be based on; above 1 the target is restarted between rounds.
 
-    In a file also ``{unlike: 5%}``: as many as leave at most this share of boots of another kind unseen.
+    A file may also have ``{unlike: 5%}``: as many boots as leave at most this share of different boots unseen.
     """
     bursts: Annotated[int, Field(ge=1, le=BURSTS_MAX)] | None = None
     """The mean length of bursts of misses that a proof must cover, even if none was seen; None: a stall of 10 ms."""
     of: Of | None = None
-    """Which values have the deadline; None: what each suite measures, of the cyclic timer the lateness."""
+    """Which values have the deadline; None: those that each suite measures, for the cyclic timer the lateness."""
     tolerate: Annotated[Tolerance, BeforeValidator(read_tolerance)] = NONE_TOLERATED
-    """How many may miss it before it counts, as ``2 in a row`` or ``3 of 100``."""
+    """How many values may miss the deadline before it counts, such as ``2 in a row`` or ``3 of 100``."""
 
     @field_validator("boots", mode="before")
     @classmethod
@@ -46,7 +46,7 @@ class Goal(Config):
 
     @property
     def question(self) -> Question:
-        """What is to be answered."""
+        """The question to answer."""
         return Question(
             of=self.of,
             tolerance=self.tolerate,

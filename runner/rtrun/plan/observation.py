@@ -1,4 +1,4 @@
-"""What an observation is asked for: of what, how long, which streams have a deadline, which paths are followed."""
+"""The plan of an observation: what is observed, how long, which streams have a deadline, which paths are followed."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
 
 
 SUITE = "observation"
-"""The suite of a run that observes; what it saw becomes runs of the suites of the kinds of streams."""
+"""The suite of a run that observes. Its streams become runs of the suites of their kinds."""
 ATTACHED = "attached"
 _TOPIC = "topic"
 _NO_SAMPLER = ("sampler", "none")
 
 
 def stream_words(suite: str, parameters: "Mapping[str, Value]") -> "tuple[str, dict[str, Value]]":
-    """A stream in a few words, and the parameters that these do not tell; no words of what was not observed."""
+    """A stream in a few words, and the parameters not in these words; if it was not observed, the words are empty."""
     kind = next((kind for kind in STREAMS.values() if kind.suite == suite), None)
     if kind is None:
         return "", dict(parameters)
     words, told = kind.in_words(parameters)
-    # That nothing samples the target goes without saying where nothing is measured but what runs there.
+    # In an observation it goes without saying that no sampler runs.
     return words, {key: value for key, value in parameters.items() if key not in told and (key, value) != _NO_SAMPLER}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StreamDeadline:
-    """A deadline of every stream of a kind and a name: of a topic, of a node, or of the topics of a path."""
+    """A deadline of every stream of a kind and a name: the name of a topic, of a node, or of the topics of a path."""
 
     kind: str
     name: str
@@ -42,7 +42,7 @@ class StreamDeadline:
 
     @property
     def stream(self) -> StreamKind:
-        """The kind whose word it has."""
+        """The kind of stream that it is for."""
         return STREAMS[self.kind]
 
     @property
@@ -51,7 +51,7 @@ class StreamDeadline:
         return f"{self.kind}:{self.name}={self.deadline_ns}ns"
 
     def is_of(self, suite: str, parameters: "Mapping[str, Value]") -> bool:
-        """Whether a stream has it."""
+        """Whether a stream has this deadline."""
         return suite == self.stream.suite and parameters.get(self.stream.named_by) == self.name
 
 
@@ -87,16 +87,16 @@ def read_path(text: object) -> tuple[str, ...]:
 
 
 def _check_topic(name: str) -> None:
-    """Refuse what no observed topic is called: programs tell the full name."""
+    """Refuse a name that no observed topic can have: programs report the full name."""
     if not name.startswith("/"):
         raise ValueError(f"{name[:60]!r}: the full name of a topic begins with /, as /cmd_vel")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObservedSystem:
-    """Whose programs are observed: those that `start`, a command for sh, starts; empty: those that run already.
+    """The programs to observe: those that the command `start` (for sh) starts; empty: those that run already.
 
-    Once started they are ready when one of them publishes `ready_topic`, or uses ROS where no topic is named.
+    After the start they are ready when one of them publishes `ready_topic`, or uses ROS if no topic is named.
     """
 
     start: str = ""
@@ -130,7 +130,7 @@ def read_subject(value: object) -> ObservedSystem:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObservationPlan:
-    """How long to observe, in seconds, of what, and what for; the paths of deadlines are followed, too."""
+    """How long to observe (in seconds), what, for which deadlines and paths. Paths of deadlines are followed, too."""
 
     word: ClassVar[str] = "observation"
     is_observed: ClassVar[bool] = True
@@ -143,6 +143,6 @@ class ObservationPlan:
 
     @property
     def followed(self) -> tuple[tuple[str, ...], ...]:
-        """Every path that is followed, each once."""
+        """Every path that is followed, without duplicates."""
         of_deadlines = (tuple(each.name.split(",")) for each in self.deadlines if each.stream is PATH)
         return tuple(dict.fromkeys((*self.paths, *of_deadlines)))

@@ -1,4 +1,4 @@
-"""Times and probabilities as texts give them; `rtrun --help` imports this module, so it imports little."""
+"""Times and probabilities in texts. `rtrun --help` imports this module, so it imports little."""
 
 import re
 
@@ -15,12 +15,12 @@ _UNITS_NS = {
 }
 _TIME = re.compile(rf"([0-9]{{1,15}}(?:\.[0-9]{{1,9}})?)\s?({'|'.join(_UNITS_NS)})", re.ASCII)
 FOREVER = "forever"
-# Above 30 years nobody waits for an answer, and 64 bits still hold the time in nanoseconds.
+# Nobody waits longer than 30 years for an answer, and 64 bits still hold that time in nanoseconds.
 _TIME_MAX_NS = 30 * 365 * 24 * _UNITS_NS["h"]
 
 
 def read_time_ns(text: object) -> int:
-    """Read a time with its unit, as ``400us``, ``1.5ms``, ``8h`` or ``90d``, into ns. Raises ValueError."""
+    """Read a time with its unit, such as ``400us``, ``1.5ms``, ``8h`` or ``90d``, into ns. Raises ValueError."""
     parts = _TIME.fullmatch(text) if isinstance(text, str) else None
     time_ns = round(float(parts[1]) * _UNITS_NS[parts[2]]) if parts else 0
     if not 0 < time_ns <= _TIME_MAX_NS:
@@ -30,7 +30,7 @@ def read_time_ns(text: object) -> int:
     return time_ns
 
 
-# Between two wake-ups of a thread; with longer ones nothing is measured in a day.
+# The longest interval between two wake-ups of a thread; with longer ones a day measures nothing.
 INTERVAL_MAX_US = 60_000_000
 
 
@@ -56,14 +56,14 @@ def read_days(text: object) -> int | None:
 
 
 def time_text(time_ns: int) -> str:
-    """A time in the largest unit of which it is a whole number, as `read_time_ns` reads it."""
+    """A time as a whole number in the largest possible unit, as `read_time_ns` reads it."""
     unit, unit_ns = max(((name, ns) for name, ns in _UNITS_NS.items() if not time_ns % ns), key=lambda each: each[1])
     return f"{time_ns // unit_ns}{unit}"
 
 
 _SIZES = {"B": 1, "kB": 10**3, "MB": 10**6, "KiB": 2**10, "MiB": 2**20}
 _SIZE = re.compile(r"([0-9]{1,9}) ?(B|kB|MB|KiB|MiB)", re.ASCII)
-# What is sent or touched at once; more is not sent in one message, and less than boards have.
+# The most bytes to send or touch at once: no message is larger, and boards have more memory.
 SIZE_BYTES_MAX = 2**28
 
 
@@ -79,7 +79,7 @@ def read_size_bytes(value: object) -> int:
 
 
 def size_text(size_bytes: int) -> str:
-    """A size in the largest unit of which it is a whole number, as `read_size_bytes` reads it."""
+    """A size as a whole number in the largest possible unit, as `read_size_bytes` reads it."""
     whole = (unit for unit in ("MiB", "MB", "KiB", "kB") if size_bytes and not size_bytes % _SIZES[unit])
     unit = next(whole, "B")
     return f"{size_bytes // _SIZES[unit]} {unit}"
@@ -87,7 +87,7 @@ def size_text(size_bytes: int) -> str:
 
 def read_probability(value: object) -> float:
     """Read a probability, both ends excluded. Raises ValueError."""
-    # YAML 1.1 takes 1e-6 for a text, as it has no point.
+    # YAML 1.1 reads 1e-6 as a text, because it has no point.
     try:
         number = float(value) if isinstance(value, str | float) else -1.0
     except ValueError:

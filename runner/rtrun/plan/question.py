@@ -1,4 +1,4 @@
-"""The question that an answer is to: which values, which deadline, how seldom missed, how sure, and for what."""
+"""The question to answer: which values, which deadline, how seldom it is missed, and with which confidence."""
 
 import math
 import re
@@ -9,14 +9,14 @@ from rtfiles.quantities import grouped, time
 from rtrun.kinds.kind import Measure
 from rtrun.kinds.lateness import LATENESS
 
-# So many loops are looked at together at most: a second at 1 kHz.
+# The most consecutive loops that a tolerance may cover: a second at 1 kHz.
 AMONG_MAX = 1000
 # No goal asks for longer bursts.
 BURSTS_MAX = 1000
-# A stall that a proof has to cover unless something else is asked: a time slice or a page of flash takes that long, and
-# a loop at 1 kHz that is judged by lateness then misses ten times in a row.
+# The stall that a proof has to cover by default: a time slice or a page of flash takes this long, and a loop at 1 kHz
+# that is judged by lateness then misses ten times in a row.
 STALL_NS = 10_000_000
-# A log that does not say its period may be of a control loop, which a stall makes miss ten times in a row.
+# A log without a period may come from a control loop, which misses ten times in a row in a stall.
 UNKNOWN_PERIOD_NS = 1_000_000
 # A rate that was missed by more than 1 % is no measurement (docs/analysis.md).
 _PERIOD_OFF = 0.01
@@ -27,7 +27,7 @@ _TOLERANCE = re.compile(r"([0-9]{1,4}) (?:in a row|of ([0-9]{1,4}))", re.ASCII)
 class Tolerance:
     """How many values may be late before it counts: at most `misses` among any `among` consecutive loops.
 
-    What is counted is then the end of each `among` loops that hold more. `misses` in a row are those among one more.
+    Each window of `among` loops with more misses is then counted once, at its end. N misses in a row means N of N + 1.
     """
 
     misses: int = 0
@@ -35,11 +35,11 @@ class Tolerance:
 
     @property
     def overlap(self) -> int:
-        """How many such ends the fewest misses that count make, when they follow one another: they count as one."""
+        """How many counted windows the fewest consecutive misses that count make: these windows count as one."""
         return self.among - self.misses
 
     def is_within(self, other: "Tolerance") -> bool:
-        """Whether the other one tolerates whatever this one does: the most misses that it lets into its windows."""
+        """Whether the other one tolerates whatever this one does, even the most misses within one of its windows."""
         whole, rest = divmod(other.among, self.among)
         return whole * self.misses + min(self.misses, rest) <= other.misses
 
@@ -75,9 +75,9 @@ def read_bursts(text: str) -> int:
 class Question:
     """Is P(miss) of this deadline below `probability`, at this confidence, on at least so many boots?
 
-    `of` are the values that have it; None: whatever the suite measures, of the cyclic timer the lateness. In the
-    question of a verdict it is what was judged, `latency` included. A proof has to cover `bursts` of misses of this
-    mean length, in loops of one stream, even if none was seen; None: what `bursts_asked` says.
+    `of` are the values that have the deadline; None: whatever the suite measures, for the cyclic timer the lateness. In
+    the question of a verdict, `of` is what was judged, `latency` included. A proof has to cover bursts of misses of the
+    mean length `bursts`, in loops of one stream, even if none was seen; None: the length that `bursts_asked` returns.
     """
 
     of: Measure | None = None
@@ -88,7 +88,7 @@ class Question:
     boots: int = 1
     bursts: int | None = None
     is_deadline_stated: bool = field(default=False, compare=False)
-    """Whether somebody named the deadline: it then comes before those that runs were measured for."""
+    """Whether the deadline was named explicitly: it then overrides the deadlines that runs were measured for."""
 
     @property
     def covered(self) -> str:
@@ -108,18 +108,18 @@ class Question:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bursts:
-    """The mean length of bursts of misses, in loops of one stream, that a proof has to cover, and why that."""
+    """The mean length of bursts of misses that a proof has to cover, in loops of one stream, and the reason for it."""
 
     length: int
     why: Literal["asked", "stall", "longest seen", "period not known"]
 
 
 def bursts_asked(asked: Question, period_ns: float | None = None, longest_seen: int = 1) -> Bursts:
-    """What was asked for, else a stall of `STALL_NS`, or the longest burst that was seen, in misses.
+    """The bursts that were asked for, else a stall of `STALL_NS`, or the longest burst that was seen if it is longer.
 
-    `period_ns` is that of one stream; one that is not known counts as `UNKNOWN_PERIOD_NS`. Where some are tolerated,
-    what is counted are the windows with too many misses: a stall of L loops makes L - N ends of more than N in a row,
-    and L + M - 1 - 2 N windows of M loops that hold more than N.
+    `period_ns` is the period of one stream; None counts as `UNKNOWN_PERIOD_NS`. If some misses are tolerated, the
+    windows with too many misses are counted: a stall of L loops makes L - N windows with more than N in a row, and
+    L + M - 1 - 2 N windows of M loops with more than N misses.
     """
     if asked.bursts is not None:
         return Bursts(length=asked.bursts, why="asked")
@@ -131,26 +131,26 @@ def bursts_asked(asked: Question, period_ns: float | None = None, longest_seen: 
 
 def _late_in_a_stall(tolerance: Tolerance, period_ns: float) -> int:
     loops = STALL_NS / max(period_ns, 1.0)
-    # A period that was measured is not a whole part of the stall: 0.9999 ms are no reason for an eleventh loop.
+    # A measured period does not divide the stall exactly: 0.9999 ms are no reason for an eleventh loop.
     whole = max(1, round(loops) if loops <= round(loops) * (1 + _PERIOD_OFF) else math.ceil(loops))
-    # A stall that is tolerated leaves what other misses make.
+    # If the stall is tolerated, only other misses are left, which come singly.
     return 1 if whole <= tolerance.misses else whole + tolerance.among - 1 - 2 * tolerance.misses
 
 
 def may_follow(first: Question, later: Question) -> bool:
     """Whether a goal may become another one after answers were seen, without measuring anew.
 
-    The interval is about P(miss) of one deadline, and holds for every probability at once. Who chooses deadline and
-    probability by what was seen finds a pair that is proven wrongly in a third of all cases. So it is with another
-    series, and with misses that are tolerated.
+    The interval is about P(miss) of one deadline, and holds for every probability at once. Choosing both deadline and
+    probability after seeing results finds a pair that is proven wrongly in a third of all cases. The same goes for
+    choosing another series or other tolerated misses.
     """
     return (later.of, later.tolerance, later.deadline_ns) == (first.of, first.tolerance, first.deadline_ns)
 
 
 def weaker(goal: Question, asked: Question, bursts_by_default: int = 1) -> tuple[str, ...]:
-    """In what a question asks less than a goal, a few words each, or asks something else.
+    """In which points a question asks less than a goal, or something else; a few words for each.
 
-    `bursts_by_default` is what a proof has to cover of what was measured where the length of bursts is not set.
+    `bursts_by_default` is the length of bursts that a proof has to cover if none is set, for the measured runs.
     """
     parts = []
     if asked.of != goal.of:
@@ -173,10 +173,10 @@ THESIS = Question()
 
 
 def unlike_share(boots: int, confidence: float) -> float:
-    """The largest share of boots of another kind that so many boots may all have missed, at this confidence.
+    """The largest share that boots of another kind may have if this many boots were all not of it, at this confidence.
 
-    None of m boots is of a kind that has the share s with the chance (1 - s)^m; of (1 - confidence) / 2 it is the upper
-    end of the interval of Clopper & Pearson (1934) after no event.
+    If a kind has the share s, the chance that m boots all miss it is (1 - s)^m. The s for which this chance is
+    (1 - confidence) / 2 is the upper end of the interval of Clopper & Pearson (1934) after no event.
     """
     return -math.expm1(math.log((1 - confidence) / 2) / boots)
 

@@ -1,4 +1,4 @@
-"""The campaign of `rtrun quick`: what a target has to measure with, for as long as somebody wants to wait."""
+"""The campaign of `rtrun quick`: everything that a target has programs for, within the time that the user gives."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,9 +11,9 @@ BASELINE = "cyclictest"
 PRIORITY = suites.options()["priority"].default
 # A period of 1 ms: what cyclictest takes by default, and a usual rate of control loops.
 PERIOD_US = 1000
-# Shorter runs say nothing of anything that comes once a second.
+# Shorter runs tell nothing about events that come once a second.
 LEAST_S = 1
-# The kinds in the order in which they are measured: what wakes up first, messages last.
+# The kinds in the order in which they are measured: wake-ups first, messages last.
 _ORDER = ("cyclic", "oneshot", "messages")
 
 
@@ -31,9 +31,9 @@ def measurable(programs: Mapping[str, str], middleware: str) -> list[str]:
 def campaign(
     names: Sequence[str], *, middleware: str, policy: str, duration_s: float, traced_above_ns: int | None
 ) -> dict[str, Any]:
-    """A campaign, as its file has it, of these suites and baselines, each for its part of the time.
+    """A campaign, in the form of its file, of these suites and baselines, each for its part of the time.
 
-    `traced_above_ns`: the first suite is measured once more, with the kernel's trace of values above that.
+    With `traced_above_ns` the first suite is measured once more, with the kernel's trace of values above that limit.
     """
     traced = next((name for name in names if traced_above_ns is not None and name != BASELINE), None)
     runs = [_run(name, middleware, duration_s / (len(names) + (traced is not None))) for name in names]

@@ -15,7 +15,7 @@ STARTUP_VALUES = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outlook:
-    """How long a campaign takes: rounds, boots of the target, seconds of measuring alone, and of all, restarts too."""
+    """How long a campaign takes: rounds, boots of the target, seconds of measuring alone and in total with restarts."""
 
     rounds: int
     boots: int
@@ -29,7 +29,7 @@ def run_in_round(group: Run, number: int) -> Run:
 
 
 def plan_round(groups: Iterable[Run], number: int, seed: int) -> tuple[Run, ...]:
-    """The runs of a round in their order, one of each of these groups; an even round is the one before, reversed."""
+    """The runs of a round in their order, one per group; an even round is the round before it, reversed."""
     groups = list(groups)
     numbers = {number, number - (number % 2 == 0)}
     runs = interleave([run_in_round(group, each) for each in numbers for group in groups], seed)
@@ -42,14 +42,14 @@ def measurements_of(group: Run) -> int:
 
 
 def rounds_for(group: Run, measurements: int) -> int:
-    """How many rounds give a group so many measurements."""
+    """How many rounds give a group this many measurements."""
     return math.ceil(measurements / measurements_of(group))
 
 
 def rounds_of_boot(groups: Sequence[Run], measurements: Mapping[str, int], boots: int) -> int:
-    """How many rounds are measured on one boot, so that so many measurements of each group need so many boots.
+    """How many rounds to measure on one boot, so that these measurements of each group take this many boots.
 
-    At least 1: where fewer rounds than boots would do, each round is on a boot of its own. So it is where nobody knows
+    At least 1: if fewer rounds than boots would do, each round has a boot of its own. The same goes if it is not known
     how much a run will observe.
     """
     if any(group.subject.makes_streams for group in groups):
@@ -63,14 +63,14 @@ def boot_of_round(number: int, boot_rounds: int) -> int:
 
 
 def joined_s(groups: Sequence[Run], rounds: int, *, boots: int, boot_rounds: int) -> float:
-    """How long the runs of one boot measure a group in so many rounds, joined, in seconds; of the shortest group."""
+    """How long one boot measures the shortest group within this many rounds, all its runs joined, in seconds."""
     return min(group.expected_s for group in groups) * (boot_rounds if boots > 1 else rounds)
 
 
 def outlook(groups: Sequence[Run], measurements: Mapping[str, int], *, boots: int, boot_rounds: int) -> Outlook:
-    """How long it takes until each group has its measurements, on at least so many boots of `boot_rounds` rounds.
+    """How long it takes until each group has its measurements, on at least this many boots of `boot_rounds` rounds.
 
-    A group leaves the rounds when it has them.
+    A group leaves the rounds once it has its measurements.
     """
     least = (boots - 1) * boot_rounds + 1
     rounds = {group.name: max(least, rounds_for(group, measurements[group.name])) for group in groups}

@@ -1,6 +1,6 @@
 """One planned run: what is measured, how long that takes, what it is called.
 
-Of several: their order, what is measured together, and the digest by which they are known again.
+For several runs: their order, which are measured together, and the digest that identifies them.
 """
 
 import hashlib
@@ -16,25 +16,25 @@ from rtrun.plan.topology.others import OTHER_NODES
 from rtrun.plan.topology.planning import TopologyPlan
 
 KernelName = Literal["standard", "rt"]
-"""rt: it calls itself PREEMPT_RT; standard: it does not."""
+"""rt: the kernel calls itself PREEMPT_RT; standard: it does not."""
 
 UNTRACED = "off"
 
-# Of one measurement beside its timeout: the latency of the timer, and arming it again (75 to 170 us on a PC). No
-# measurement takes less, however short its period is.
+# Time of one measurement in addition to its timeout: the latency of the timer, and arming it again (75 to 170 us on a
+# PC). No measurement takes less, however short its period is.
 MEASUREMENT_COST_S = 200e-6
-# Before the first run: the target is reached and inspected, and gets what it lacks. This and the next two are those of
-# a PC with suites deployed (10 runs of demo.yml, 12 of smoke.yml); an emulated board takes more.
+# Time before the first run: the target is reached and inspected, and gets what it lacks. This and the next two were
+# measured on a PC with suites deployed (10 runs of demo.yml, 12 of smoke.yml); an emulated board takes more.
 SET_UP_S = 1.5
-# Of one run: ROS nodes start and end, the runner starts the programs and copies what they wrote.
+# Time per run: ROS nodes start and end, the runner starts the programs and copies their files.
 START_AND_END_S = 0.6
-# Of one run under a condition that loads the target, beside that: the loads are started and ended, on CPUs that they
+# Additional time per run under a condition that loads the target: the loads are started and ended, on CPUs that they
 # keep busy.
 LOADS_S = 0.7
-# Of one restart of the target, where nothing better is known: it shuts down, boots, and is prepared for runs anew. A
-# small board takes half of it, the firmware of a server more.
+# Time per restart of the target, if nothing better is known: it shuts down, boots, and is prepared for runs again. A
+# small board takes half of it, a server more because of its firmware.
 RESTART_S = 60.0
-# Increased when the canonical form changes, or the default of a field or an option: a default is not in the form.
+# Increase this when the canonical form changes, or a default of a field or option, which the form leaves out.
 DIGEST_VERSION = 1
 
 
@@ -42,10 +42,10 @@ DIGEST_VERSION = 1
 class Run:
     """One planned run: `parameters` holds every parameter of its suite, and `subscribers` where it has some.
 
-    `settings` are those of the condition, `repeat` counts from 1, `seed` is that of an interleaved order; `variant` is
-    empty and `kernel` None in a campaign that names none; `variant_of` are the programs of the variant as the campaign
-    names them. `trace` is the limit above which it keeps traces as the campaign has it (plan/trace.py), `UNTRACED` for
-    the twin of such a run, and empty where no traces are asked for. `subject` is whose programs it measures.
+    `settings` belong to the condition, `repeat` counts from 1, `seed` drew an interleaved order. `variant` is empty and
+    `kernel` None in a campaign that names none; `variant_of` are the programs of the variant as the campaign names
+    them. `trace` is the campaign's limit above which the run keeps traces (plan/trace.py), `UNTRACED` for the twin of
+    such a run, and empty if no traces are asked for. `subject` is whose programs it measures.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Run:
 
     @property
     def middleware(self) -> str:
-        """The name of the one that it measures through."""
+        """The name of the middleware that it measures through."""
         return suites.middleware_of(self.suite, self.parameters)
 
     @property
@@ -78,7 +78,7 @@ class Run:
 
     @property
     def period_ns(self) -> float | None:
-        """From one measurement to the next at least; None where what is observed says how far apart they are."""
+        """The least time from one measurement to the next; None: it depends on the observed programs."""
         return suites.period_of(self.parameters)
 
     @property
@@ -93,11 +93,11 @@ class Run:
 
     @property
     def total_s(self) -> float:
-        """How long the run should take, with all that is waited for, in seconds."""
+        """How long the run should take, with every wait, in seconds."""
         return self.expected_s + self.settle_s + self.start_and_end_s
 
     def _measuring_s(self, cost_s: float) -> float:
-        """How long the measuring takes, in seconds, where `cost_s` comes on top of a timeout, and no period is less."""
+        """How long the measuring takes, in seconds; `cost_s` is added to each timeout, and is the shortest period."""
         if not isinstance(self.subject, SuitePrograms):
             return self.subject.for_s
         number = {key: value for key, value in self.parameters.items() if isinstance(value, int)}
@@ -110,8 +110,8 @@ class Run:
 
 
 def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
-    """Order runs by repeat, those of an odd repeat as drawn with a seed, those of an even one in the reverse order of
-    the repeat before: after each pair of repeats all have begun at the same time on average."""
+    """Order runs by repeat: an odd repeat in an order drawn with a seed, an even one in the reverse order of the repeat
+    before. After each pair of repeats, all runs have the same mean starting time."""
     runs = list(runs)
     names = {(_measured(run), run.repeat): run.name for run in runs}
     # By a hash, so that a seed gives the same order with every version of Python.
@@ -126,7 +126,7 @@ def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
 
 
 def _measured(run: Run) -> str:
-    """What a run measures, the same in each of its repeats."""
+    """A text of what a run measures, the same in each of its repeats."""
     return repr(replace(run, name="", repeat=1, seed=None))
 
 
@@ -148,12 +148,12 @@ def order_by_kernel(runs: Sequence[Run], kernels: Sequence[KernelName]) -> tuple
 
 
 def blocks(runs: Sequence[Run], *, is_shared: bool = False) -> list[tuple[Run, ...]]:
-    """The runs in their order, divided into what is measured together, on one board and one boot.
+    """The runs in their order, divided into blocks that are measured together, on one board and one boot.
 
-    A block is one repeat on one kernel: what differs from boot to boot is not taken for an effect of the kernel then.
-    The runs of a campaign with less than two kernels are one block. Where boards share a campaign (`is_shared`), a
-    block is one repeat on all kernels, so that what is compared is measured on the same board; a campaign of one
-    repeat is shared out run by run.
+    A block is one repeat on one kernel, so that differences between boots are not taken for an effect of the kernel.
+    The runs of a campaign with less than two kernels are one block. If boards share a campaign (`is_shared`), a block
+    is one repeat on all kernels, so that runs to compare are measured on the same board; a campaign of one repeat is
+    shared out run by run.
     """
     if is_shared:
         by_repeat: dict[object, list[Run]] = {}
@@ -170,8 +170,8 @@ def blocks(runs: Sequence[Run], *, is_shared: bool = False) -> list[tuple[Run, .
 def digest_of(runs: Sequence[Run]) -> str:
     """The digest of the canonical form of these runs, ``<version>:<SHA-256>``.
 
-    The form holds, of each run, the fields that are not at their default, and of its parameters and settings
-    those that are not at the default of their option. So a field or an option that is added later changes no digest.
+    The form of a run holds the fields that are not at their default, and the parameters and settings that are not at
+    the default of their option. So a field or an option that is added later changes no digest.
     """
     forms = json.dumps([_canonical(run) for run in runs], sort_keys=True)
     return f"{DIGEST_VERSION}:{hashlib.sha256(forms.encode()).hexdigest()}"
@@ -192,7 +192,7 @@ def _canonical(run: Run) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON has it, without what is at its default."""
+    """A value in the form of JSON, without fields at their default."""
     if is_dataclass(value) and not isinstance(value, type):
         set_ = (each for each in fields(value) if getattr(value, each.name) != each.default)
         return {each.name: _plain(getattr(value, each.name)) for each in set_}
@@ -204,7 +204,7 @@ def _without_defaults(values: Mapping[str, suites.Value], defaults: Mapping[str,
 
 
 def never_observed(run: Run) -> str | None:
-    """Say why a run can never be valid because it is not observed, or ends before it is, or None."""
+    """Say why a run can never be valid: the sampler does not observe it, or the run ends too early; None: it can."""
     suite = suites.suite(run.suite)
     observed = {key: value for key, value in run.settings.items() if value and key in conditions.conditions().pinned}
     if conditions.conditions().conditions[run.condition].loads:
@@ -227,7 +227,7 @@ def never_observed(run: Run) -> str | None:
 
 
 def label(run: Run) -> str:
-    """What tells a run from the others of its campaign, for its name."""
+    """The part of a run's name that tells it from the others of its campaign."""
     subscribers = run.parameters.get("subscribers")
     words = [suites.output_name(run.suite, run.parameters), *([f"{subscribers}sub"] if subscribers else [])]
     if isinstance(run.subject, TopologyPlan):

@@ -11,8 +11,8 @@ _Chosen = Callable[[str], bool]
 
 
 def select(runs: Sequence[Run], expression: str | None) -> tuple[Run, ...]:
-    """Those runs whose names the expression is true of, all without one: of parts of names, in either case, joined by
-    and, or, not and parentheses. Raises UsageError for what is no expression, and where none is left."""
+    """The runs whose names match the expression; without one, all. It joins parts of names, in upper or lower case, by
+    and, or, not and parentheses. Raises UsageError for an invalid expression, and if no run is left."""
     if expression is None:
         return tuple(runs)
     is_chosen = _parse(expression)

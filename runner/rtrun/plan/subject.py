@@ -9,7 +9,7 @@ from rtrun.plan.topology.planning import TopologyPlan
 
 @dataclass(frozen=True, slots=True)
 class SuitePrograms:
-    """Those of the suite, which write down what they measure."""
+    """The programs of the suite, which write down what they measure."""
 
     word: ClassVar[str] = ""
     is_observed: ClassVar[bool] = False
@@ -19,7 +19,7 @@ class SuitePrograms:
 Subject = SuitePrograms | ObservationPlan | TopologyPlan
 """The suite's programs, programs that are observed, or the nodes of a graph.
 
-`word` is the subject's name in a campaign's digest and in JSON. Where it `is_observed`, its programs do not measure;
-where it `makes_streams`, these become runs beside the one that measured them.
+`word` is the subject's name in a campaign's digest and in JSON. If it `is_observed`, its programs do not measure. If
+it `makes_streams`, the streams become runs next to the one that measured them.
 """
 SUITE_PROGRAMS = SuitePrograms()

@@ -1,7 +1,7 @@
 """The suites, read from suites.yml: their options, argument lists and output names.
 
-A parameter is named as in suites.yml everywhere: campaign, run.json, report. ``None`` means the option is not given.
-A name of a suite that is not in suites.yml is a UsageError.
+A parameter has its name of suites.yml everywhere: campaign, run.json, report. ``None`` means the option is not given.
+A suite that is not in suites.yml is a UsageError.
 """
 
 import functools
@@ -33,11 +33,11 @@ SUITES_FILE = Path(__file__).with_name("suites.yml")
 BASELINES_FILE = Path(__file__).with_name("baselines.yml")
 OBSERVED_FILE = Path(__file__).with_name("observed.yml")
 
-# Options that do not change what is measured: runs that differ in them only are alike.
+# Options that do not change what is measured: runs that differ only in these are alike.
 NOT_TELLING = ("repetitions", "prefix", "out_dir", "start_delay_s", "idle_timeout_s", "trace_of")
 
 
-# The highest that a file of another program may state: such programs take more than ours and baselines are asked for.
+# The highest values that a file of another program may state: such programs accept more than ours and baselines.
 _HIGHEST_OF_OTHERS = {
     "priority": RT_PRIORITY_MAX,
     "interval_us": INTERVAL_MAX_US,
@@ -47,7 +47,7 @@ _HIGHEST_OF_OTHERS = {
 
 Subject = Literal["started", "attached"]
 """What a run measures: programs that it starts, or programs that run already."""
-# A graph of nodes has no samples of its own: its streams have.
+# A graph of nodes has no samples of its own; its streams have them.
 _GRAPH = "topology"
 
 
@@ -59,31 +59,31 @@ class Option(Config):
     help: str
     flag: str = ""
     environment: str = ""
-    """The variable by which it is given instead of a flag."""
+    """The environment variable that passes it instead of a flag."""
     preload: str = ""
-    """The library of rt_tests_sampler that is preloaded into the programs where it has a value."""
+    """The library of rt_tests_sampler that is preloaded into the programs if the option has a value."""
     through: Strings = ()
-    """The middlewares whose programs alone take it; none: those of all."""
+    """Only the programs of these middlewares take it; none: the programs of all middlewares."""
     not_through: Strings = ()
     """The middlewares whose programs do not take it."""
     min: int = 0
     max: int = 0
     choices: Strings = ()
     pattern: str = ""
-    """What a text must look like unless it is empty; none: any line."""
+    """The pattern of a text that is not empty; none: any line."""
 
     def is_taken_through(self, middleware: str) -> bool:
-        """Whether programs take it that measure through a middleware."""
+        """Whether the programs of a middleware take it."""
         return (not self.through or middleware in self.through) and middleware not in self.not_through
 
     @property
     def is_of_2014(self) -> bool:
-        """Whether the programs of 2014 may have it: theirs have short flags, what came later has long ones."""
+        """Whether the programs of 2014 may have it: their options have short flags, later ones have long flags."""
         return not self.flag.startswith("--")
 
     @property
     def allowed(self) -> str:
-        """What the option takes, for a message to the user."""
+        """The values that the option takes, for a message to the user."""
         if self.type == "int":
             return f"a whole number from {self.min} to {self.max}"
         if self.type == "choice":
@@ -93,7 +93,7 @@ class Option(Config):
     def accept(self, value: object) -> Value:
         """Return a value as the programs take it. Raises ValueError.
 
-        A choice may come as a number (YAML's bare 0), a value that has no default may be None.
+        A choice may be a number (YAML's bare 0). If the option has no default, the value may be None.
         """
         number = isinstance(value, int) and not isinstance(value, bool)
         if value is None and self.default is None:
@@ -124,38 +124,38 @@ class Suite(Config):
     """How its samples are read (rtrun.kinds); None: it writes none, as a baseline."""
     subject: Subject = "started"
     measures: Annotated[tuple[Measure, ...], Field(strict=False, min_length=1)]
-    """What a question may be of; of the first one where it names none."""
+    """The values that a question may be about; by default the first one."""
     programs: dict[str, Strings] = Field(default_factory=dict)
     output: str = ""
     logs: Strings = ()
     columns: Strings
     program_json: dict[str, str] = Field(default_factory=dict)
-    """Of programs without samples: what stands between the output and ``.json`` in the name of the json they write."""
+    """For programs without samples: the part of their json's name between the output and ``.json``."""
     repeated: str | None = None
     """The program that runs once per subscriber; none: there are no subscribers."""
     starts_after: dict[str, str] = Field(default_factory=dict)
-    """Programs that start when another one is ready, which receives what they send."""
+    """Program to the one that must be ready before it starts, because that one receives what it sends."""
     launch: dict[str, Value] = Field(default_factory=dict)
-    """Parameters that a campaign does not give and that are not at the program's default."""
+    """Parameters that a campaign does not give, but that differ from the program's default."""
     is_baseline: bool = Field(default=False, alias="baseline")
-    """A tool of the target with options of its own, measured with to compare the suites with it."""
+    """Whether it is a tool of the target with options of its own, measured to compare the suites with it."""
     always: Strings = ()
-    """What a baseline is always given."""
+    """Arguments that a baseline always gets."""
     unset: dict[str, str] = Field(default_factory=dict)
-    """Of a baseline, what it is given for a parameter that has no value."""
+    """The argument that a baseline gets for a parameter without a value."""
     kernel: str = ""
-    """Of a baseline, the kernel option that it needs."""
+    """The kernel option that a baseline needs."""
     flags: dict[str, str] = Field(default_factory=dict)
     values: dict[str, str] = Field(default_factory=dict)
 
     @property
     def middleware(self) -> str:
-        """Through what it measures where nobody names another middleware."""
+        """The middleware that it measures through if no other one is named."""
         return NONE if self.is_baseline or self.subject == "attached" else DEFAULT
 
     @property
     def stages(self) -> tuple[tuple[str, ...], ...]:
-        """Its programs in the order in which they start: those of a stage when all before them are ready."""
+        """Its programs in the order in which they start: a stage starts when all programs before it are ready."""
         first = tuple(program for program in self.programs if program not in self.starts_after)
         then = tuple(program for program in self.programs if program in self.starts_after)
         return (first, then) if then else (first,)
@@ -166,7 +166,7 @@ class Suite(Config):
         return tuple(dict.fromkeys(key for keys in self.programs.values() for key in keys))
 
     def judged(self, of: Measure | None) -> Measure:
-        """What a question is of. Raises UsageError where the suite does not measure that."""
+        """The values that a question is about. Raises UsageError if the suite does not measure them."""
         return judged(self.measures, of)
 
 
@@ -196,7 +196,7 @@ def baselines() -> Suites:
 
 @functools.cache
 def observed() -> Suites:
-    """What makes streams, and the streams of each kind, read once."""
+    """The suites that make streams, and those of each kind of stream, read once."""
     loaded = load_own(OBSERVED_FILE, Suites)
     streams = {
         kind.stream.suite: Suite(
@@ -214,7 +214,7 @@ def observed() -> Suites:
 
 @functools.cache
 def described_suites() -> dict[str, Suite]:
-    """All whose samples and figures can be read, by name: suites, baselines, and what is observed."""
+    """Everything with readable samples and figures, by name: suites, baselines, and kinds of streams."""
     return suites().suites | baselines().suites | observed().suites
 
 
@@ -238,12 +238,12 @@ def options() -> dict[str, Option]:
 
 def find_suite(name: str) -> Suite | None:
     """The suite or baseline of this name, or what is observed; None for one that is not known."""
-    # The files are read as far as the name needs them.
+    # Only the files that are needed to find the name are read.
     return next((of().suites[name] for of in (suites, baselines, observed) if name in of().suites), None)
 
 
 def kind_of(name: str) -> MeasurementKind | None:
-    """The kind of a suite by its name; None for one that is not known, and for what writes no samples."""
+    """The kind of a suite by its name; None if the suite is not known or writes no samples."""
     described = find_suite(name)
     return KINDS.get(described.kind) if described and described.kind else None
 
@@ -262,7 +262,7 @@ def suite(name: str) -> Suite:
 
 
 def defaults_of(name: str) -> dict[str, Value]:
-    """What the options of a suite are where nobody gives them; a baseline has some of its own."""
+    """The defaults of the options of a suite; a baseline has some of its own."""
     described = suite(name)
     own = described.launch if described.is_baseline else {}
     return {key: option.default for key, option in options().items()} | own
@@ -274,19 +274,19 @@ def middleware_of(suite_name: str, parameters: Mapping[str, Value]) -> str:
 
 
 def executable(suite_name: str, program: str, parameters: Mapping[str, Value]) -> str:
-    """What a program of a suite is called that measures through the middleware of such a run."""
+    """The name of a suite's program for the middleware of a run with these parameters."""
     name = middleware_of(suite_name, parameters)
     return middlewares()[name].executable.format(program=program, middleware=name)
 
 
 def measures(name: str) -> tuple[Measure, ...]:
-    """What a suite, a baseline or another program measures; of a program that is not known it is a latency."""
+    """What a suite, a baseline or another program measures; an unknown program measures a latency."""
     known = find_suite(name)
     return known.measures if known else ("latency",)
 
 
 def check_numbers(values: dict[str, Value], known: Mapping[str, Option]) -> dict[str, Value]:
-    """Return values by key as they are. Raises ValueError where the option of a key takes no such number."""
+    """Return values by key as they are. Raises ValueError if the option of a key does not take such a number."""
     for key, value in values.items():
         if isinstance(value, int) and key in known and known[key].type == "int":
             try:
@@ -330,10 +330,10 @@ def check(key: str, value: object, where: str) -> Value:
 
 
 def argv(suite_name: str, program: str, parameters: Mapping[str, Value]) -> list[str]:
-    """The program and its options; what is None or the default is left out, and so is what it does not take.
+    """The program and its options. Values that are None or the default, or that it does not take, are left out.
 
-    A run of defaults thus asks for nothing but what the programs of 2014 know. A baseline has defaults of its own and
-    is given everything, but no priority without a real-time policy.
+    So a run with defaults uses only options that the programs of 2014 know. A baseline has defaults of its own and gets
+    all options, but no priority without a real-time policy.
     """
     described = suite(suite_name)
     if program not in described.programs:
@@ -351,14 +351,14 @@ def argv(suite_name: str, program: str, parameters: Mapping[str, Value]) -> list
 
 
 def environment(parameters: Mapping[str, Value]) -> tuple[tuple[str, str], ...]:
-    """The parameters that programs are given by variables, as these."""
+    """The environment variables that pass some of these parameters to programs."""
     known = options()
     given = {key: value for key, value in parameters.items() if key in known and value not in (None, "")}
     return tuple((known[key].environment, str(value)) for key, value in given.items() if known[key].environment)
 
 
 def preloaded(parameters: Mapping[str, Value]) -> tuple[str, ...]:
-    """The libraries of rt_tests_sampler that these parameters have preloaded into programs."""
+    """The libraries of rt_tests_sampler that are preloaded into programs with these parameters."""
     known = options()
     given = [key for key, value in parameters.items() if key in known and value not in (None, "")]
     return tuple(known[key].preload for key in given if known[key].preload)
@@ -378,7 +378,7 @@ def _explicit(baseline: str, program: str, parameters: Mapping[str, Value]) -> l
 
 
 def output_name(suite_name: str, parameters: Mapping[str, Value]) -> str:
-    """The name, without ending, of what such a run writes; the prefix, which may hold a folder, comes first."""
+    """The name of such a run's output, without ending. It begins with the prefix, which may hold a folder."""
     keys = suite(suite_name).parameters
     values = {key: options()[key].default for key in keys}
     values |= {key: value for key, value in parameters.items() if key in values and value is not None}
@@ -458,7 +458,7 @@ def is_real_time(parameters: Mapping[str, Value]) -> bool:
 
 
 def period_of(parameters: Mapping[str, Value]) -> float | None:
-    """How long one measurement takes at least, in ns, from the parameters; None when they do not tell."""
+    """The least time of one measurement according to the parameters, in ns; None if they do not tell."""
     for key in ("timeout_us", "interval_us"):
         value = parameters.get(key)
         if isinstance(value, int) and value > 0:
@@ -468,8 +468,8 @@ def period_of(parameters: Mapping[str, Value]) -> float | None:
 
 
 def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
-    """The parameters that tell what was measured: runs in which they are the same are alike.
+    """The parameters that tell what was measured: runs with the same ones are alike.
 
-    An option that was not given is left out: records of before it was added do not have it.
+    An option that was not given is left out, because records from before it was added do not have it.
     """
     return {key: value for key, value in parameters.items() if key not in NOT_TELLING and value is not None}

@@ -1,7 +1,7 @@
-"""Which values of a run the kernel's trace is kept of: `trace` of a campaign, and the runs that it takes.
+"""For which values of a run the kernel's trace is kept: `trace` of a campaign, and the additional runs that it needs.
 
-A traced run has a twin without traces, measured in turn with it, which shows what tracing costs. Where the limit is a
-quantile, a short warm-up before the run finds it: it records the same events, so its values are those of a traced run.
+A traced run has a twin without traces, which shows what tracing costs; the two alternate. If the limit is a quantile, a
+short warm-up before the run finds it. The warm-up records the same events, so its values are those of a traced run.
 """
 
 import math
@@ -18,7 +18,7 @@ from rtrun.plan.suites import Value, options
 PARAMETER = "trace_threshold_us"
 SERIES = "trace_of"
 WARM_UP = ".warm-up"
-# So many values of a warm-up are expected to be above the quantile, and at least one of the run.
+# This many values of a warm-up are expected above the quantile, and at least one of the run.
 VALUES_ABOVE = 10
 _QUANTILE = re.compile(r"p([0-9]{2}(?:\.[0-9]{1,6})?)", re.ASCII)
 
@@ -30,7 +30,7 @@ class TraceSetting(Config):
 
 
 def read_trace(value: object, where: Place) -> str:
-    """Return `above` in one form: a whole number of microseconds as ``300us``, or a quantile as ``p99.9``.
+    """Return `above` in canonical form: a whole number of microseconds as ``300us``, or a quantile as ``p99.9``.
 
     Raises UsageError. A run without `trace` has an empty text.
     """
@@ -53,19 +53,19 @@ def read_trace(value: object, where: Place) -> str:
 
 
 def quantile(trace: str) -> float | None:
-    """The quantile as a part of 1; None where the limit is a time or there is none."""
+    """The quantile as a part of 1; None if the limit is a time or there is no limit."""
     return float(trace[1:]) / 100 if trace.startswith("p") else None
 
 
 def traced(run: Run) -> tuple[Run, ...]:
-    """A run that keeps traces and its twin that does not, the other one first in every second repeat; or just the run.
+    """A run that keeps traces and its twin that does not, in alternating order; or only the run if it keeps none.
 
-    Where the limit is a quantile, the threshold is not known yet.
+    If the limit is a quantile, the threshold is not known yet.
     """
     if not run.trace:
         return (run,)
     if run.subject.is_observed:
-        # It finds its limit while it lasts.
+        # An observation finds its limit while it lasts.
         pair = (replace(run, trace=UNTRACED), run)
         return pair if run.repeat % 2 else pair[::-1]
     known = None if quantile(run.trace) is not None else int(run.trace.removesuffix("us"))
@@ -79,7 +79,7 @@ def with_threshold(run: Run, threshold_us: Value) -> Run:
 
 
 def with_warm_ups(runs: Iterable[Run]) -> Iterator[Run]:
-    """Yield the runs in their order, before each whose limit is a quantile its warm-up, `<name>.warm-up`."""
+    """Yield the runs in their order; before a run whose limit is a quantile comes its warm-up, `<name>.warm-up`."""
     for run in runs:
         if quantile(run.trace) is not None and not run.subject.is_observed:
             yield _warm_up(run)
@@ -87,7 +87,7 @@ def with_warm_ups(runs: Iterable[Run]) -> Iterator[Run]:
 
 
 def _warm_up(run: Run) -> Run:
-    """A short run that records as a traced one, but keeps nothing; as long as the run where shorter is invalid."""
+    """A short run that records like a traced one but keeps no trace; as long as the run if a shorter one is invalid."""
     number = min(_repetitions(run), math.ceil(VALUES_ABOVE / _above(run)))
     alike = replace(with_threshold(run, options()[PARAMETER].max), name=f"{run.name}{WARM_UP}", trace="")
     short = replace(alike, parameters={**alike.parameters, "repetitions": number})
@@ -105,7 +105,7 @@ def too_few(run: Run) -> str | None:
 
 
 def _above(run: Run) -> float:
-    """The part of the values that is expected above the quantile."""
+    """The share of values that is expected above the quantile."""
     return round(1 - (quantile(run.trace) or 0.0), 9)
 
 

@@ -1,1 +1,1 @@
-"""What do programs do that run already? Probes of the kernel on the functions of their libraries."""
+"""What do running programs do? Kernel probes on the functions of their libraries."""

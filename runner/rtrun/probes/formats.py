@@ -1,6 +1,6 @@
-"""The kernel's description of a trace event, and the values of an event by it.
+"""The kernel's description of a trace event, and how an event's values are read with it.
 
-tracefs has a file `format` for each event: the name, offset, size and sign of each of its fields. It comes from a
+tracefs has a file `format` for each event: the name, offset, size and sign of each of its fields. The file comes from a
 target, and so do the events.
 """
 
@@ -13,7 +13,7 @@ from rtfiles.untrusted import whole_number
 
 FIELDS_MAX = 200
 EVENT_BYTES_MAX = 65536
-# The largest page of memory that Linux has where probes are known.
+# The largest memory page that Linux has on an architecture with probes.
 PAGE_BYTES_MAX = 65536
 _FIELD = re.compile(
     r"\s*field:([^;]{1,200}?)\s*(\w{1,64})(\[[^\];]{0,40}\])?;\s*offset:(\d{1,5});\s*size:(\d{1,5});\s*signed:([01]);",
@@ -30,18 +30,18 @@ class Field:
     offset: int
     size: int
     code: str
-    """As of the module struct."""
+    """The format for the module struct."""
     is_text: bool = False
     """Bytes up to the first NUL."""
     is_dynamic: bool = False
-    """A text elsewhere in the event: its offset in the lower, its length in the upper 16 bits of this number."""
+    """A text elsewhere in the event: this number has its offset in the lower 16 bits, its length in the upper 16."""
     is_relative: bool = False
-    """Of a dynamic one: the offset counts from the end of this field."""
+    """Of a dynamic field: the offset counts from the end of this field."""
     is_rest: bool = False
     """A text that goes on to the end of the event."""
 
     def is_of(self, kind: str) -> bool:
-        """Whether it is as the kernel makes it of a probe's argument of this type: u64, s32, x8, string."""
+        """Whether the kernel makes such a field for a probe's argument of this type: u64, s32, x8, string."""
         if kind == "string":
             return self.is_dynamic
         return not self.is_dynamic and self.code == _CODES[int(kind[1:]) // 8][0 if kind[0] == "s" else 1]
@@ -50,8 +50,8 @@ class Field:
 class EventFormat:
     """How to read the values of an event. Raises ValueError for a text that is no `format` file.
 
-    `types` are those of the values that a probe was told to record, as tracefs calls them: they alone are read, and the
-    format has to have each of them as that. Without it all values are read.
+    `types` are the types, as tracefs calls them, of the values that a probe was to record: only these values are read,
+    and the format must have each of them with its type. Without `types` all values are read.
     """
 
     __slots__ = ("_dynamic", "_names", "_struct", "_texts", "fields", "identifier", "name", "size_bytes")
@@ -71,7 +71,7 @@ class EventFormat:
         self.fields = tuple(fields)
         if (by_name["common_pid"].offset, by_name["common_pid"].size) != (4, 4) if "common_pid" in by_name else True:
             raise ValueError(f"the format of {self.name} is not that of a kernel known here: it has no pid at 4")
-        # Two underscores: where the kernel put a probe.
+        # Fields with two underscores: where the kernel put a probe.
         own = [field for field in fields if not field.name.startswith(("common_", "__"))]
         if types is not None:
             own = [field for field in own if field.name in types]
@@ -91,9 +91,10 @@ class EventFormat:
         self._dynamic = tuple(field for field in own if field.is_dynamic or field.is_rest)
 
     def values(self, page: bytes, start: int, size_bytes: int) -> dict[str, int | str]:
-        """The values of an event that stands there in a page.
+        """The values of the event at `start` in a page.
 
-        Raises ValueError when it has not all of its fields, or its texts are longer than itself: many may be the same.
+        Raises ValueError if the event lacks one of its fields, or if its texts together are longer than the event: many
+        fields could name the same text.
         """
         if size_bytes < self.size_bytes:
             raise ValueError(f"an event {self.name} of {size_bytes} bytes; its fields take {self.size_bytes}")
@@ -119,9 +120,9 @@ class EventFormat:
 
 
 class RawValues(Mapping[str, int | str]):
-    """The values of an event in a page, decoded when one is asked for: of most events of the kernel none ever is.
+    """The values of an event in a page, decoded when one is asked for: most kernel events are never decoded.
 
-    That raises ValueError as `EventFormat.values` does.
+    Decoding raises ValueError as `EventFormat.values` does.
     """
 
     __slots__ = ("_decoded", "_format", "_page", "_size_bytes", "_start")
@@ -168,9 +169,9 @@ def _field(line: str) -> Field:
 
 
 def subbuffer_bytes(header_page: str) -> tuple[int, int, int]:
-    """Of the file header_page: the bytes of a page, of the field `commit`, and where the events begin.
+    """Read the file header_page: the bytes of a page, the bytes of the field `commit`, and where the events begin.
 
-    Raises ValueError for a text that is none.
+    Raises ValueError for any other text.
     """
     fields = {field.name: field for field in map(_field, filter(str.strip, header_page.splitlines()))}
     try:

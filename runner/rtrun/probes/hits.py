@@ -6,7 +6,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 GAPS_MAX = 10_000
-"""Of one cause, of an observation; where there are more, those that lie close together become one."""
+"""The highest number of gaps of one cause in an observation; beyond that, gaps that lie close together become one."""
 
 HITS_CLOCK = "steady"
 """The clock of the hits, CLOCK_MONOTONIC. The offset of any other clock to it has to be read.
@@ -16,7 +16,7 @@ HITS_CLOCK = "steady"
 
 
 class Hit(NamedTuple):
-    """A probed function was called, or returned.
+    """A probed function was called.
 
     `at_ns` is of CLOCK_MONOTONIC. `pid` is 0 where the process of the thread is not known. `event` is its name in the
     probes' data, `values` are the arguments by the names that they have there.
@@ -39,15 +39,15 @@ class GapCause(StrEnum):
     """The kernel lost them, or gave them out of order."""
     LINK_LOST = "link lost"
     WATCHDOG_SILENT = "watchdog silent"
-    """What reads the probes on the target was stopped or killed, while the link was there."""
+    """The process that reads the probes on the target was stopped or killed, while the link was there."""
     ENDED_EARLY = "ended early"
-    """It was over before the time that was asked for."""
+    """The observation was over before the time that was asked for."""
 
 
 class Gap(NamedTuple):
     """A time in which hits are missing: the kernel lost events, or the probes rested because there were too many.
 
-    `from_ns` and `until_ns` are of CLOCK_MONOTONIC. What was seen on both sides of it may not be joined.
+    `from_ns` and `until_ns` are of CLOCK_MONOTONIC. What was seen before a gap must not be joined with what came after.
     """
 
     from_ns: int
@@ -66,9 +66,9 @@ def covered_ns(spans: Iterable[tuple[int, int]]) -> int:
 
 
 def joined(gaps: Iterable[Gap]) -> list[Gap]:
-    """In the order of their begins, those of a cause that overlap as one, and of each cause GAPS_MAX at most.
+    """Sort gaps by their begin and join those of a cause that overlap; each cause keeps GAPS_MAX at most.
 
-    Beyond that the shortest times between them are given up, and count as not seen.
+    Beyond that, gaps with the shortest time between them are joined, too: that time then counts as not seen.
     """
     by_cause: dict[GapCause, list[Gap]] = {}
     for gap in sorted(gaps):
@@ -110,8 +110,8 @@ class ProgramThread:
 class ObservedProgram:
     """A process that maps a library with probes; `start_ticks` tells it from a later one of the same pid.
 
-    `locked_bytes` is its locked memory (VmLck). `libraries` are those with probes that it maps, by their paths as the
-    target has them.
+    `locked_bytes` is its locked memory (VmLck). `libraries` are the target's paths of the libraries with probes that it
+    maps.
     """
 
     pid: int

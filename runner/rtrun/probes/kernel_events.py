@@ -19,9 +19,9 @@ _ROW = np.dtype([(name, np.uint32) for name in ("cpu", "pid", "tid", "kind", "en
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelEvents:
-    """Events in the order of time; each is decoded as a Hit when it is gone through.
+    """Events in the order of time; iteration makes each of them a Hit.
 
-    `at_ns`, int64 (n,), are of CLOCK_MONOTONIC. `rows` are what else is known of each: `data` has its bytes.
+    `at_ns`, int64 (n,), is of CLOCK_MONOTONIC. `rows` has the other fields of each event, `data` has its bytes.
     """
 
     at_ns: Int64s
@@ -36,12 +36,12 @@ class KernelEvents:
         for at_ns, row in zip(self.at_ns, self.rows, strict=True):
             cpu, pid, tid, kind, end, size = row.tolist()
             event, form = self.kinds[kind]
-            # Its own bytes alone: it may be kept.
+            # The hit gets a copy of its own bytes only: it may be kept.
             yield Hit(int(at_ns), cpu, pid, tid, event, RawValues(form, bytes(self.data[end - size : end]), 0, size))
 
     @property
     def size_bytes(self) -> int:
-        """What they take in memory, about."""
+        """About how much memory they take."""
         return self.at_ns.nbytes + self.rows.nbytes + len(self.data)
 
     def only(self, some: _Some) -> "KernelEvents":
@@ -49,7 +49,7 @@ class KernelEvents:
         return KernelEvents(self.at_ns[some], self.rows[some], self.data, self.kinds)
 
     def between(self, from_ns: int, until_ns: int) -> "KernelEvents":
-        """Those from a time to before another."""
+        """The events from one time to before another."""
         first, last = np.searchsorted(self.at_ns, [from_ns, until_ns])
         return self.only(slice(first, last))
 
@@ -67,13 +67,13 @@ class WaitingEvents:
         return len(self._at_ns)
 
     def add(self, at_ns: int, cpu: int, pid: int, tid: int, kind: int, data: bytes) -> None:
-        """Add one of a kind, by its number."""
+        """Add an event; `kind` is the number of its kind."""
         self._data += data
         self._rows.extend((cpu, pid, tid, kind, len(self._data), len(data)))
         self._at_ns.append(at_ns)
 
     def cut(self, until_ns: int, silent: Sequence[tuple[int, int]]) -> KernelEvents:
-        """Take those up to a time, without those of silent times, which are dropped; the later ones wait on."""
+        """Take the events up to a time, and drop those of silent times; later events keep waiting."""
         came = KernelEvents(
             np.frombuffer(self._at_ns, np.int64), np.frombuffer(self._rows, _ROW), self._data, self._kinds
         )

@@ -1,4 +1,4 @@
-"""Which probes observe which libraries of a target: symbols of its own files, resolved here and kept in the cache."""
+"""Which probes observe which libraries of a target: the symbols of its own files, resolved here and cached."""
 
 import hashlib
 import re
@@ -20,18 +20,19 @@ if TYPE_CHECKING:
     from rtrun.targets.link import Link
 
 KIND = "probed-libraries"
-# Different files of all programs together; more get no probes. They have so many bytes, and are brought here in so long
-# at most. A robot has a handful, and one more of each in each of its containers.
+# Limits for the different files of all programs together: their number, their bytes, and the time to bring them here.
+# Further files get no probes. A robot has a handful, and each of its containers has one more of each.
 FILES_MAX = 256
 FILES_BYTES_MAX = 512 * MIB
 FETCH_S = 600.0
-# A board's checksums of some MiB from an SD card.
+# Long enough for a board to compute the checksums of some MiB from an SD card.
 LOOK_S = 120.0
-# Since 5.3 several probes may be one event, and the kernel knows a second probe at the same place of the same file.
+# Since Linux 5.3 several probes may form one event, and the kernel recognizes a second probe at the same place of the
+# same file.
 _SHARED_SINCE = (5, 3)
-# The file as the kernel shows it to us, if that is the one that is mapped: a program in a container, or in a folder of
-# its own, sees others by this path, and the file may have been replaced. tracefs ends a path at a blank and a line at
-# #, and the kernel writes a newline in a path as \012: a file that has such a path is known by its mapping.
+# Each path is compared with the mapping: a program in a container, or in a folder of its own, sees other files by the
+# same path, and the file may have been replaced. tracefs ends a path at a blank and a line at #, and the kernel writes
+# a newline in a path as \012: a file with such a path is opened by its mapping.
 _LOOK = r"""
 cat /proc/sys/kernel/osrelease
 done=
@@ -55,9 +56,9 @@ _LOOKED = re.compile(r"(\d{1,7}) ([0-9a-f]{1,16}-[0-9a-f]{1,16}) (\d{1,20}) ([0-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlacedProbe:
-    """A probe as it is to be placed: `name` is that of its event in the target's trace, `line` what tracefs is told.
+    """A probe to be placed: `name` is that of its event in the target's trace, `line` is its definition for tracefs.
 
-    The line is as watch_probes.sh takes it, without the group: ``p NAME SHA256 PATH:OFFSET ARGUMENT...``.
+    watch_probes.sh takes the line, without the group: ``p NAME SHA256 PATH:OFFSET ARGUMENT...``.
     """
 
     name: str
@@ -66,12 +67,12 @@ class PlacedProbe:
     arguments: Mapping[str, Argument]
     constants: Mapping[str, str | int]
     path: str
-    """The library's, as its programs have it."""
+    """The library's path, as its programs see it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RefusedProbe:
-    """A probe that is not placed; `event` is empty where no probe of this library is."""
+    """A probe that is not placed; `event` is empty if no probe of this library is placed."""
 
     path: str
     event: str
@@ -109,7 +110,7 @@ class _LibraryFile:
 def place(link: "Link", found: Sequence[ObservableProgram], *, events: Collection[str]) -> Placement:
     """Resolve the probes for the libraries of these programs; only their files are read from the target.
 
-    `events` are the canonical names of those that are to be placed. Raises TargetError.
+    `events` are the canonical names of the events to be observed. Raises TargetError.
     """
     mapping = [(program, each) for program in found for each in program.mapped]
     users: dict[tuple[str, int], list[tuple[ObservableProgram, MappedLibrary]]] = {}
@@ -132,7 +133,7 @@ def place(link: "Link", found: Sequence[ObservableProgram], *, events: Collectio
     numbers: dict[str, int] = {}
     left_out: dict[str, RefusedProbe] = {}
     for number_of_file, (key, of_file) in enumerate(users.items()):
-        # By one of its names it may be deleted.
+        # The file may be deleted under one of its names.
         mapped = next((each for _, each in of_file if not each.is_deleted), of_file[0][1])
         if number_of_file >= FILES_MAX:
             reason = f"probes are placed in {FILES_MAX} different files at most"
@@ -155,7 +156,7 @@ def place(link: "Link", found: Sequence[ObservableProgram], *, events: Collectio
             if is_for is not True:
                 continue
             name = f"{probe.event}_{number}_{index}"
-            # Whoever places it sees by the checksum that the path still means this file.
+            # By the checksum, watch_probes.sh sees that the path still names this file.
             line = line_of(probe, symbols, f"{name} {file.sha256}", file.path, library.without)
             if isinstance(line, NotProbed):
                 refused.append(RefusedProbe(path=mapped.path, event=probe.event, reason=line.reason))
@@ -174,9 +175,9 @@ def place(link: "Link", found: Sequence[ObservableProgram], *, events: Collectio
 
 
 def _is_for_any(probe: Probe, besides: Sequence[Mapping[str, LibrarySymbols | NotProbed]]) -> bool | NotProbed:
-    """Whether a probe is for the release of the programs that map a file, of each the libraries beside it.
+    """Whether a probe is for the release of the programs that map a file; `besides` has the libraries of each program.
 
-    A program that does not tell its release says nothing against those that do.
+    Programs of unknown release do not count if the release of another one is known.
     """
     answers = [_is_for(probe, beside) for beside in besides]
     told = {each for each in answers if not isinstance(each, NotProbed)}
@@ -186,7 +187,7 @@ def _is_for_any(probe: Probe, besides: Sequence[Mapping[str, LibrarySymbols | No
 
 
 def _is_for(probe: Probe, symbols: Mapping[str, LibrarySymbols | NotProbed]) -> bool | NotProbed:
-    """Whether a probe is for the release that a program's libraries are of."""
+    """Whether a probe is for the release of a program's libraries."""
     for beside, expected in ((probe.only_with, True), (probe.only_without, False)):
         if beside is None:
             continue
@@ -218,7 +219,7 @@ def _look(
 ) -> tuple[tuple[int, ...], dict[tuple[str, int], _LibraryFile]]:
     """Ask for the kernel's release, and for the files that these processes map, by device and inode.
 
-    A process may have ended meanwhile: each file is looked at through the first that shows it.
+    A process may have ended meanwhile: each file is read through the first process that shows it.
     """
     asked = {(program.program.pid, each.range): each for program, each in users if not each.is_deleted}
     stdin = "".join(f"{each.device}-{each.inode} {pid} {each.range} {each.path}\n" for (pid, _), each in asked.items())
@@ -239,7 +240,7 @@ def _look(
 
 
 def _resolve_all(link: "Link", files: Collection[_LibraryFile]) -> dict[str, LibrarySymbols | NotProbed]:
-    """The functions of each file, by its SHA-256; where one of the same content cannot be read, the next is asked."""
+    """The functions of each file, by its SHA-256; if a file cannot be read, the next of the same content is tried."""
     resolved: dict[str, LibrarySymbols | NotProbed] = {}
     size_bytes, end_s = 0, time.monotonic() + FETCH_S
     for file in files:
@@ -257,7 +258,7 @@ def _resolve_all(link: "Link", files: Collection[_LibraryFile]) -> dict[str, Lib
 def _resolve(link: "Link", file: _LibraryFile) -> LibrarySymbols | NotProbed:
     """Find all functions that any probe may need in a file of the target, which is brought here once.
 
-    Its program may end meanwhile, and anybody may change a library of his own: that is the end of this file alone.
+    Its program may end meanwhile, and anybody may change a library of their own: then only this file gets no probes.
     """
     if file.size_bytes > FILE_BYTES_MAX:
         return NotProbed(f"it has more than {FILE_BYTES_MAX} bytes, as no library has")

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from rtrun.targets.connection import Connection
     from rtrun.targets.link import Link
 
-# Of one listing, and of an observation: those that live, and those that were there at any time. More are left out.
+# Limits for a listing, for the live programs of an observation, and for all that it ever had. More are left out.
 PROGRAMS_MAX = 2000
 THREADS_MAX = 20_000
 # Names, paths and arguments of all programs together, as they are in memory.
 TEXT_BYTES_MAX = 16 * MIB
-# What find_programs.sh prints of one program: of a thread there are some 350 bytes.
+# What find_programs.sh may print of one program: a thread takes some 350 bytes.
 PROGRAM_BYTES_MAX = 8 * MIB
 ARGUMENTS_MAX = 1000
 LIBRARIES_MAX = 16
@@ -34,25 +34,25 @@ LIBRARIES_MAX = 16
 CPU_SETS_MAX = 256
 # A slow board with some hundred processes needs a second.
 FIND_S = 60.0
-# A name has 15 bytes at most, of threads of the kernel some more, and may hold anything: brackets, newlines. A byte
-# that is no UTF-8 is read as four characters.
+# A name has 15 bytes at most (kernel threads have some more) and may contain anything: brackets, newlines. A byte that
+# is not UTF-8 is read as four characters.
 NAME_CHARACTERS_MAX = 256
 _STAT = re.compile(r"^(\d{1,7}) \((.{0,256}?)\) [A-Za-z]((?: -?\d{1,20}){38,80})$", re.ASCII | re.DOTALL | re.MULTILINE)
 _MAPS = re.compile(r"([0-9a-f]{1,16}-[0-9a-f]{1,16}) ([0-9a-f]{1,8}:[0-9a-f]{1,8}) (\d{1,20}) (/.{1,16384})", re.ASCII)
 _CPUS_CHARACTERS_MAX = 65536
-# Numbers take more than the sets that they are in, unless these share them.
+# The sets share these numbers, which would otherwise take more memory than the sets.
 _EVERY_CPU = tuple(range(CPUS_MAX))
 _DELETED = " (deleted)"
 LINE_BYTES_MAX = 64 * 1024
 CUT = "…"
-"""The end of an argument that was not read to its end, and what stands for arguments that were not read."""
+"""Ends an argument that was not read to its end, and stands for arguments that were not read."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MappedLibrary:
     """A library with probes as a process maps it; `range` names the mapping below /proc/PID/map_files.
 
-    Of one file all processes have the same `device` and `inode`, unless each sees it through a file system of its own.
+    All processes see the same `device` and `inode` of one file, unless each has a file system of its own.
     """
 
     library: str
@@ -61,7 +61,7 @@ class MappedLibrary:
     device: str
     inode: int
     is_deleted: bool
-    """The file was removed, or another one stands in its place."""
+    """The file was removed or replaced."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,14 +74,14 @@ class ObservableProgram:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FoundPrograms:
-    """The programs of a target; of those beyond a limit it is known only that there are `left_out`."""
+    """The programs of a target; `left_out` counts those beyond a limit."""
 
     found: tuple[ObservableProgram, ...]
     left_out: int
 
 
 def left_out_in_words(number: int) -> str:
-    """What is not known where programs were left out."""
+    """What is not known because programs were left out."""
     return (
         f"{counted(number, 'program')} beyond {PROGRAMS_MAX} programs, {THREADS_MAX} threads or "
         f"{TEXT_BYTES_MAX // MIB} MiB of names: their streams are named by their processes"
@@ -94,11 +94,11 @@ def pattern() -> str:
 
 
 def find_programs(link: "Link", scripts: PurePosixPath) -> FoundPrograms:
-    """Ask a target for the programs that can be observed; it is not changed. Raises TargetError."""
+    """Ask a target for the programs that can be observed, without changing anything there. Raises TargetError."""
     script = str(scripts / "find_programs.sh")
 
     def ask(connection: "Connection") -> FoundPrograms:
-        # Read while it comes: of a large system it is more than a command may print that is read whole.
+        # Read line by line: a large system prints more than is accepted from a command that is read as a whole.
         reader, data = ProgramReader(str(link.target.address)), bytearray()
 
         def take(chunk: bytes) -> None:
@@ -122,8 +122,8 @@ def find_programs(link: "Link", scripts: PurePosixPath) -> FoundPrograms:
 class ProgramReader:
     """Reads a listing of find_programs.sh, a line at a time. A process that ended meanwhile is left out.
 
-    Raises TargetError with the origin for what is no output of it. What goes beyond a limit is left out and counted:
-    a system may have any number of programs, and the others are observed all the same.
+    Raises TargetError, with the origin, for anything that the script would not print. Programs beyond a limit are left
+    out and counted: a system may have any number of programs, and the others can still be observed.
     """
 
     def __init__(self, origin: str) -> None:
@@ -150,7 +150,7 @@ class ProgramReader:
         return tuple(self._found.values())
 
     def cut(self) -> None:
-        """No more is listed now: a program that is not whole is left out."""
+        """Expect no more lines of this listing: leave out a program that is not complete."""
         self._pid, self._lines = None, []
 
     def end(self) -> FoundPrograms:
@@ -172,7 +172,7 @@ class ProgramReader:
             self._lines, self._pid = [], None
             return self._added(pid, lines)
         elif self._line_bytes <= PROGRAM_BYTES_MAX:
-            # A short line takes as much as its object does.
+            # The object of a short line takes as much memory as the line.
             self._line_bytes += size_bytes + 64
             self._lines.append(line)
         return None
@@ -189,13 +189,13 @@ class ProgramReader:
 
 
 class _CpuSets:
-    """The sets of CPUs that threads may run on. Those that may run on the same ones share them."""
+    """The sets of CPUs that threads may run on. Threads that may run on the same CPUs share one set."""
 
     def __init__(self) -> None:
         self._known: dict[Hashable, tuple[int, ...]] = {}
 
     def share(self, key: Hashable, cpus: Callable[[], tuple[int, ...]]) -> tuple[int, ...]:
-        """The set of this key, which `cpus` tells where it is new; empty where there are too many."""
+        """The set of this key, made by `cpus` if the key is new; empty if there are too many sets."""
         if key not in self._known:
             if len(self._known) >= CPU_SETS_MAX:
                 return ()
@@ -210,7 +210,7 @@ class _Room:
         self._programs, self._threads, self._text_bytes = PROGRAMS_MAX, THREADS_MAX, TEXT_BYTES_MAX
 
     def take(self, program: ObservedProgram) -> bool:
-        """Whether there was room for a program."""
+        """Take room for a program; False if there is none."""
         left = self._programs - 1, self._threads - len(program.threads), self._text_bytes - _text_bytes(program)
         if min(left) < 0:
             return False
@@ -224,10 +224,10 @@ class _Room:
 
 
 class Roster:
-    """The programs of an observation: those that live now, and all that were there at any time, with their last state.
+    """The programs of an observation: those that live now, and all that it ever had, with their last state.
 
-    Both are limited as a listing is. `left_out` counts programs for which there was no room in one of them. Each
-    listing has sets of CPUs of its own: what is kept of all of them has CPU_SETS_MAX.
+    Both have the limits of a listing. `left_out` counts programs for which one of them had no room. Each listing has
+    sets of CPUs of its own; all that is kept here has CPU_SETS_MAX together.
     """
 
     def __init__(self, found: Iterable[ObservableProgram], left_out: int = 0) -> None:
@@ -247,7 +247,7 @@ class Roster:
         return tuple(self._seen.values())
 
     def begin(self, program: ObservedProgram) -> None:
-        """It is there, or its threads have changed."""
+        """A program is there, or its threads have changed."""
         self.end(program.pid)
         program = replace(program, threads=tuple(map(self._kept, program.threads)))
         key = program.pid, program.start_ticks
@@ -265,7 +265,7 @@ class Roster:
         return replace(thread, cpus=self._cpu_sets.share(thread.cpus, lambda: thread.cpus))
 
     def end(self, pid: int) -> None:
-        """It has ended."""
+        """A program has ended."""
         if pid in self._alive:
             self._room.give_back(self._alive.pop(pid))
 
@@ -277,7 +277,7 @@ def _text_bytes(program: ObservedProgram) -> int:
 
 
 def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int, ...]]) -> ObservableProgram | None:
-    """Read the lines of one process; None where it has ended, or maps nothing any more."""
+    """Read the lines of one process; None if it has ended, or maps no library with probes any more."""
     arguments: list[str] = []
     stat: list[str] = []
     cpus: dict[int, tuple[int, ...]] = {}
@@ -292,7 +292,7 @@ def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int,
         elif word == "locked":
             locked = rest.removesuffix(" kB")
         elif word == "stat":
-            # Each line of a name that has several begins with the word.
+            # A name may have several lines: each comes with this word.
             stat.append(rest)
         elif word == "cpus" and len(cpus) < THREADS_MAX:
             tid, _, ranges = rest.replace("\t", " ").partition(" ")
@@ -320,7 +320,7 @@ def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int,
 
 
 def _thread(match: re.Match[str], cpus: dict[int, tuple[int, ...]]) -> tuple[ProgramThread, int]:
-    """A thread and its start time, of the fields that proc(5) numbers from 1; match[3] begins with the fourth."""
+    """A thread and its start time; proc(5) numbers the fields from 1, and match[3] begins with the fourth."""
     fields = match[3].split()
     tid = whole_number(match[1], lowest=1, highest=PID_MAX)
     policy = whole_number(fields[41 - 4], lowest=0, highest=255)
@@ -338,7 +338,7 @@ def _cpus(ranges: str) -> tuple[int, ...]:
     if len(ranges) > _CPUS_CHARACTERS_MAX:
         raise ValueError(f"a list of CPUs of {len(ranges)} characters")
     cpus: list[int] = []
-    # In their order, as the kernel prints them: none may stand twice.
+    # In ascending order, as the kernel prints them: no CPU may come twice.
     lowest = 0
     for each in ranges.split(","):
         first, _, last = each.partition("-")
@@ -349,7 +349,7 @@ def _cpus(ranges: str) -> tuple[int, ...]:
 
 
 def _mapped(line: str) -> MappedLibrary | None:
-    """A mapping; None where its file is no library with probes after all."""
+    """A mapping; None if its file is not a library with probes after all."""
     match = _MAPS.fullmatch(line)
     if match is None:
         raise ValueError(f"no mapping of a file: {line[:80]!r}")

@@ -1,8 +1,8 @@
 """Pages of the kernel's ring buffer, as per_cpu/cpu*/trace_pipe_raw gives them: events with their times.
 
 Source: include/linux/ring_buffer.h and kernel/trace/ring_buffer.c. A page has the time of its first event, the length
-of what is in it, and events: 5 bits say their kind or length, 27 the time since the event before. Little-endian
-machines alone. Pages come from a target: whatever is in them, a ValueError is all that is raised.
+of its content, and events: 5 bits hold their kind or length, 27 bits the time since the event before. Only
+little-endian machines are supported. Pages come from a target: whatever they contain, only ValueError is raised.
 """
 
 import struct
@@ -17,9 +17,9 @@ _MISSED_COUNTED = 1 << 30
 _LENGTH = (1 << 27) - 1
 _DATA_MAX, _PADDING, _TIME_EXTEND, _TIME_STAMP = 28, 29, 30, 31
 _DELTA_BITS, _DELTA_SHIFT = 27, 5
-# Of an absolute time the events have the lower 59 bits.
+# Events have the lower 59 bits of an absolute time.
 _STAMP_UPPER = 0x1F << 59
-# Since the boot: 28 years. What is observed from then on for some years still has times up to those of the record.
+# Since the boot: 28 years. An observation of some years from then on still has times that fit the record.
 _CLOCK_MAX_NS = TIME_MAX_NS // 10 * 9
 _WORD = struct.Struct("<I")
 _HEAD = {4: struct.Struct("<QI"), 8: struct.Struct("<QQ")}
@@ -35,13 +35,13 @@ class PageLayout:
 
     @classmethod
     def of(cls, header_page: str) -> "PageLayout":
-        """Read it from the file events/header_page. Raises ValueError."""
+        """Read the layout from the file events/header_page. Raises ValueError."""
         return cls(*subbuffer_bytes(header_page))
 
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page that was read: when it begins, and whether events before it were lost, None where not how many."""
+    """The head of a page: when the page begins, and whether and how many events before it were lost (None: unknown)."""
 
     begin_ns: int
     has_lost: bool

@@ -24,25 +24,25 @@ if TYPE_CHECKING:
 LIMIT_PER_S = 40_000
 # To place fifty probes on a slow board, and to take them off again.
 SET_UP_S = 120.0
-# Of a caller who wants no more of it.
+# How long to wait for the end once the caller wants no more.
 END_S = 30.0
-# An event with its topic takes less; a second of the limit fits twice, and some of more than that.
+# An event with its topic takes less. The buffer holds two seconds at the limit.
 _EVENT_BYTES = 100
 _BUFFER_KB = (2048, 65536)
-# Of the kernel's own events, with every change of threads, more are written.
+# The kernel writes more of its own events, with every switch of threads.
 _BUFFER_KERNEL_KB = 4096
-# A line goes to the target so often; after so long without one the probes are taken off: the link is dead, or this
-# process was stopped. A connection over the air may stand still for some seconds.
+# A line goes to the target every BEAT_S. After SILENCE_S without a line the target takes the probes off: the link is
+# dead, or this process was stopped. A wireless connection may pause for some seconds.
 BEAT_S = 10.0
 SILENCE_S = 30
 SILENT = 4  # the exit status then
-# The script prints a round about once a second, and after a rest of 10 s at most. Nothing for so long: what prints
-# there was stopped or killed. To take the probes off it waits for its last events, and for who reads them.
+# The script prints a round about once a second, or after a rest of 10 s at most. If nothing comes for QUIET_S, the
+# printing process was stopped or killed. To take the probes off, the script waits for its last events and their reader.
 QUIET_S = 40.0
 TAKE_OFF_S = 2.0 * SILENCE_S
-# What has come and could not be read so long after the end is not read any more.
+# Output that is still unread this long after the end is not read any more.
 LATE_S = 300.0
-# Pieces of up to 2 MiB that arrived and were not taken yet: the target waits then.
+# How many pieces, of up to 2 MiB, may have arrived and not been taken yet: with more, the target waits.
 _PIECES_MAX = 8
 
 
@@ -56,10 +56,10 @@ class Began:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Finished:
-    """The observation is over, and everything was taken off the target where `is_clean`.
+    """The observation is over; with `is_clean` everything was taken off the target.
 
-    `lost_events` are those that the kernel reports as lost. The gaps of all batches say when. `broken` says why it
-    ended before its time, empty where it did not: what was yielded before is all there is.
+    `lost_events` counts those that the kernel reports as lost; the gaps of the batches say when. `broken` is the reason
+    if the observation ended before its time: what was yielded before is then all there is. Otherwise it is empty.
     """
 
     lost_events: int
@@ -84,14 +84,14 @@ def observe(
 ) -> Generator[Observed, None, None]:
     """Place probes on a target, and yield what they see: `Began`, a `Batch` about once a second, `Finished`.
 
-    `programs` are those whose threads are told with their processes; others that use the same libraries are found while
-    it lasts. `kernel_events` are as in trace_events.yml. After `for_s` seconds, or when the caller closes the iterator,
-    everything is taken off; the watchdog on the target does that, too, when the connection breaks or this process is
-    killed. A lost connection is made anew, and so is the call where the target prints nothing any more; a gap tells how
-    long nothing was seen. `Finished` reports what ended it, once something was seen.
+    `programs` are those whose threads are known with their processes; other programs that use the same libraries are
+    found meanwhile. `kernel_events` are as in trace_events.yml. After `for_s` seconds, or when the caller closes the
+    iterator, everything is taken off. The watchdog on the target does that, too, if the connection breaks or this
+    process is killed. A lost connection is made again, and the script is called again if it prints nothing any more; a
+    gap covers the time in which nothing was seen. Once something was seen, `Finished` reports what ended it.
 
-    Meanwhile nobody else may use the link. Raises TargetError: no right, no probes in the kernel, or no answer;
-    TargetRebooted at any time.
+    Nobody else may use the link meanwhile. Raises TargetError if the user lacks the right, the kernel has no probes, or
+    the target does not answer; TargetRebooted at any time.
     """
     watching = _Watching(link, scripts, placement, programs, for_s, tuple(kernel_events), limit_per_s)
     thread = threading.Thread(target=watching.run, name="observe", daemon=True)
@@ -110,7 +110,7 @@ _LOST = {
 
 
 class _Watching:
-    """The call of watch_probes.sh in a thread of its own, and what it prints, read by the caller's thread."""
+    """Calls watch_probes.sh in a thread of its own; the caller's thread reads what it prints."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class _Watching:
         self._is_traced = bool(kernel_events)
         self._for_s = for_s
         self._next_beat_s = 0.0
-        # Once the probes are placed, it is what was asked for.
+        # Set again once the probes are placed: `for_s` counts from there.
         self._end_s = time.monotonic() + for_s + SET_UP_S
         self._arguments = (str(buffer_kb), str(limit_per_s), pattern(), *kernel_events)
         self._script = str(scripts / "watch_probes.sh")
@@ -139,7 +139,7 @@ class _Watching:
         self._stdin = "\n".join(lines).encode()
         self.is_over = threading.Event()
         self._connection: Connection | None = None
-        # How long nothing came, and how long the time is over: of this process' own time, in which it was not stopped.
+        # How long nothing came, and how long the time has been over, without time in which this process was stopped.
         self._asked_s = 0.0
         self._quiet_s = self._over_s = 0.0
         self._is_ready = False
@@ -147,7 +147,7 @@ class _Watching:
         self._pieces: queue.Queue[bytes | WatchReader | BaseException | None] = queue.Queue(_PIECES_MAX)
 
     def run(self) -> None:
-        """Call the script until it is over; pass on a reader for each call, its output, finally None or an error."""
+        """Call the script until it is over; pass on a reader and the output of each call, then None or an error."""
         try:
             self._link.do(self._call)
             self._put(None)
@@ -167,7 +167,7 @@ class _Watching:
             argv, [self._stdin], self._take, left_s + 2 * SET_UP_S, feed=self._feed
         )
         if status == SILENT:
-            # As with a connection that breaks: the probes are placed anew, and what lies between is a gap.
+            # As after a broken connection: the probes are placed again, with a gap between.
             raise ConnectionLost(f"{connection.address}: {stderr.strip().rpartition(chr(10))[2][:300]}")
         if status > 128:
             raise TargetError(f"{connection.address}: watch_probes.sh was ended there by signal {status - 128}")
@@ -178,9 +178,9 @@ class _Watching:
             raise TargetError(f"{connection.address}: watch_probes.sh ended there before its time")
 
     def _feed(self) -> bytes | None:
-        """What the script reads while it lasts: a line now and then, by which it knows that somebody is there.
+        """The input of the script: a line now and then shows it that somebody is there; None at the end.
 
-        Raises ConnectionLost when it prints nothing any more, or does not end.
+        Raises ConnectionLost if the script prints nothing any more, or does not end.
         """
         self._check_quiet()
         if self._is_time_over():
@@ -211,7 +211,7 @@ class _Watching:
         if piece == b"":
             return
         while True:
-            # Once it is over nobody takes them any more, and the target must not wait for that with each.
+            # Once it is over, nobody takes pieces any more, and the target must not wait for each of them.
             is_over = self.is_over.is_set()
             with contextlib.suppress(queue.Full):
                 self._pieces.put(piece, timeout=0.0 if is_over else POLL_S)
@@ -228,7 +228,7 @@ class _Watching:
             thread.join(END_S)
 
     def results(self) -> Iterator[Observed]:
-        """What the script prints, read. Raises what ends it before the probes are placed."""
+        """Read what the script prints. Raises what ends it before anything was seen, and TargetRebooted at any time."""
         reader: WatchReader | None = None
         calls = lost = rests = 0
         seen_ns = 0
@@ -255,7 +255,7 @@ class _Watching:
                         self._end_s = time.monotonic() + self._for_s
                         yield self._began(each)
             except TargetError as error:
-                # What cannot be read was printed by a target that nothing more is taken from.
+                # The target printed something that cannot be read: nothing more is taken from it.
                 if not seen_ns:
                     raise
                 broken, piece = str(error), None

@@ -1,7 +1,7 @@
 """What watch_probes.sh prints: lines, formats of events, blocks of programs, and raw pages of the kernel's ring buffer.
 
-It comes from a target in pieces of any size. A `WatchReader` takes them and gives batches, one for each round of the
-script: hits in the order of time, of all CPUs together.
+The output comes from a target in pieces of any size. A `WatchReader` takes the pieces and yields a batch for each round
+of the script: the hits of all CPUs together, in the order of time.
 """
 
 import re
@@ -24,26 +24,27 @@ from rtrun.probes.values import Values, converter, recorded
 from rtrun.targets.errors import TargetError
 
 _END = b"rtrun end "
-# The last line. Where what prints was killed, it stands within whatever was being printed.
+# The last line. If the printing process was killed, this line comes within whatever was being printed.
 _TAKEN_OFF = re.compile(r"rtrun end (?:(done)|left .*)")
 # The format of an event has some KiB.
 _BLOCK_BYTES_MAX = 256 * 1024
 _FORMATS_MAX = 500
-# Hits that wait for the end of their round, and their bytes. That is four seconds of the highest rate at which the
-# probes do not rest. What goes beyond it is left out, and when that was is recorded.
+# How many hits, and how many bytes of them, may wait for the end of their round: four seconds at the highest rate at
+# which the probes do not rest. Further hits are left out, and the time of that is recorded.
 _HITS_MAX = 160_000
 _HITS_BYTES_MAX = 24 * 1024 * 1024
-# The same of the kernel's events, of an observation with a trace: four seconds of the highest rate. They take 50 MiB.
+# The same for the kernel's events in an observation with a trace: four seconds at the highest rate. They take 50 MiB.
 _KERNEL_EVENTS_MAX = 500_000
 _KERNEL_BYTES_MAX = 32 * 1024 * 1024
-# Of a round: others are joined with the last one.
+# Gaps of a round: further ones are joined with the last.
 _GAPS_MAX = 1000
 _ENDED_MAX = 20_000
 _PIDS_MAX = 2 * THREADS_MAX
-# A round begins a second after the one before: so many more than seconds have passed may have waited to be read.
+# A round begins a second after the one before. At most this many more rounds than seconds may have come: they may have
+# waited to be read.
 _ROUNDS_AHEAD_MAX = 120
-# What one round takes, or placing all probes; a busy board takes some seconds. A time in which this process itself did
-# not run counts as little as that between two beats.
+# How long a round, or placing all probes, may take; a busy board takes some seconds. A pause in which this process
+# itself did not run counts no more than the time between two beats.
 _ROUND_MAX_S = 300.0
 _PAUSE_MAX_S = 10.0
 _PRINT = "print"
@@ -55,14 +56,14 @@ _TIMER_CALL = "timer_call"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Batch:
-    """What a second brought, complete up to `until_ns`, in the order of time.
+    """The events of a second, complete up to `until_ns`, in the order of time.
 
-    Events are recorded since `begin_ns`, which is 0 where that is not known yet.
+    Recording began at `begin_ns`, which is 0 if that is not known yet.
 
     `kernel` are the kernel's own events: their names have a slash, as sched/sched_switch. Their values are those of
     their format, and `common_flags` and `common_preempt_count`, decoded when asked for. `realtime_offset_ns` is how far
-    CLOCK_REALTIME is ahead of CLOCK_MONOTONIC, None where the target does not show it. `programs` are those that are
-    new or whose threads have changed; `ended` are pids. Times are of CLOCK_MONOTONIC.
+    CLOCK_REALTIME is ahead of CLOCK_MONOTONIC, None if the target does not show it. `programs` are new, or their
+    threads have changed; `ended` has the pids of those that ended. Times are of CLOCK_MONOTONIC.
     """
 
     begin_ns: int
@@ -77,7 +78,7 @@ class Batch:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ready:
-    """The probes are placed; `refused` has the target's reason for each that it did not take. By their names."""
+    """The probes are placed; `refused` has the target's reason for each probe that it did not take, by name."""
 
     placed: tuple[str, ...]
     refused: Mapping[str, str]
@@ -91,7 +92,7 @@ class _Source:
     event: str
     convert: Callable[[Values], None] | None = None
     kind: int | None = None
-    """Its number among those of the kernel; None: it is none."""
+    """Its number among the kinds of kernel events; None: not a kernel event."""
 
 
 class _WaitingRoom:
@@ -102,7 +103,7 @@ class _WaitingRoom:
         self._events = self._bytes = 0
 
     def take(self, waiting: int, size_bytes: int) -> bool:
-        """Whether there is room for one more beside those that wait; it is taken then."""
+        """Take room for one more event besides the `waiting` ones; False if there is none."""
         if waiting >= self._events_max or self._bytes + size_bytes > self._bytes_max:
             return False
         self._events = waiting + 1
@@ -110,28 +111,28 @@ class _WaitingRoom:
         return True
 
     def keep(self, waiting: int) -> None:
-        """Free the room of all but those of the next round."""
+        """Free the room of all events but the `waiting` ones, which are of the next round."""
         self._bytes = self._bytes * waiting // max(self._events, 1)
         self._events = waiting
 
 
 class WatchReader:
-    """Reads the output of one call of watch_probes.sh, for the probes by the names that they have there.
+    """Reads the output of one call of watch_probes.sh; `probes` are keyed by their names there.
 
-    Raises TargetError with the origin for whatever is not as the script prints it.
+    Raises TargetError, with the origin, for anything that the script would not print.
     """
 
     def __init__(
         self, probes: Mapping[str, PlacedProbe], origin: str, pids: Mapping[int, int], *, is_traced: bool = True
     ) -> None:
         self.is_done = False
-        """Everything was taken off."""
+        """Everything was taken off the target."""
         self.is_read_to_end = False
         """All rounds were printed, up to the last event."""
         self.lost = 0
         """Events that the kernel reports as lost; it may not know how many."""
         self.begin_ns = 0
-        """Since when events are recorded; 0 before that is known."""
+        """When recording began; 0 before that is known."""
         self._placed: dict[str, None] = {}
         self._refused: dict[str, str] = {}
         self._is_ready = False
@@ -139,7 +140,7 @@ class WatchReader:
         self._probes, self._origin = probes, origin
         self._pids = dict(pids)
         self._is_traced = is_traced
-        """Whether events of the kernel were asked for; others are left out."""
+        """Whether kernel events were asked for; otherwise they are left out."""
         self._data = bytearray()
         self._layout: PageLayout | None = None
         self._sources: dict[int, _Source] = {}
@@ -147,7 +148,7 @@ class WatchReader:
         self._timers = TimerChecks()
         self._hits: list[Hit] = []
         self._kinds: list[EventKind] = []
-        """Of the kernel's events."""
+        """The kinds of the kernel's events."""
         self._kernel = WaitingEvents(self._kinds)
         self._gaps: list[Gap] = []
         self._programs = ProgramReader(origin)
@@ -165,11 +166,11 @@ class WatchReader:
         self._left_out_ns: tuple[int, int] | None = None
         self._rests_ns: int | None = None
         self._cpu: int | None = None
-        """Whose pages are being read."""
+        """The CPU whose pages are being read."""
         self._block: tuple[str, bytearray] | None = None
 
     def feed(self, chunk: bytes) -> Iterator[Ready | Batch]:
-        """Take a piece of the output, and yield what is complete by it: `Ready` once, then batches."""
+        """Take a piece of the output, and yield what it completes: `Ready` once, then batches."""
         self._data += chunk
         now_s = time.monotonic()
         self._round_s += min(now_s - self._fed_s, _PAUSE_MAX_S)
@@ -182,7 +183,7 @@ class WatchReader:
             raise TargetError(f"{self._origin}: what watch_probes.sh printed cannot be read: {error}") from error
 
     def rest(self) -> Batch:
-        """What is left when the output has ended; where it was cut off, what came of a round is no whole one."""
+        """The last batch, after the end of the output; if that was cut off, without the unfinished round."""
         if self._rests_ns is not None:
             self._end_rest(max(self._rests_ns, self._last_ns) + 1)
         return self._batch(None if self.is_read_to_end else 0)
@@ -192,7 +193,7 @@ class WatchReader:
         data = self._data
         try:
             while True:
-                # No page has that where the length of its events is.
+                # No page begins with these bytes: its events cannot have that length.
                 if data.startswith(_END, place):
                     self._cpu = None
                 if self._cpu is not None:
@@ -212,7 +213,7 @@ class WatchReader:
             del data[:place]
 
     def _take_page(self, place: int) -> int:
-        """Read a page; how many bytes that were, 0 when more have to come."""
+        """Read a page and return its size in bytes; 0 if more bytes have to come."""
         assert self._layout is not None and self._cpu is not None
         size_bytes = self._layout.size_bytes
         if len(self._data) - place < size_bytes:
@@ -313,7 +314,7 @@ class WatchReader:
             identifier = page[start] | page[start + 1] << 8
             source = sources.get(identifier)
             if source is None:
-                # Of an event that was switched on by somebody else.
+                # Somebody else switched this event on.
                 continue
             tid = int.from_bytes(page[start + 4 : start + 8], "little")
             if source.kind is not None:
@@ -336,7 +337,7 @@ class WatchReader:
         self._gaps.append(gap)
 
     def _leave_out(self, at_ns: int) -> None:
-        """There was no room for an event."""
+        """Note that there was no room for an event."""
         if self._left_out_ns is None:
             self._left_out_ns = (at_ns, at_ns + 1)
         self._left_out_ns = (min(self._left_out_ns[0], at_ns), max(self._left_out_ns[1], at_ns + 1))
@@ -367,13 +368,16 @@ class WatchReader:
             self.begin_ns = self.begin_ns or at_ns
 
     def _end_rest(self, until_ns: int) -> None:
-        """Since its mark, or where that was lost, since the end of the batch before."""
+        """Add the gap of a rest: since its mark or, if that was lost, since the end of the batch before."""
         from_ns = self._rests_ns if self._rests_ns is not None else self._until_ns
         self._add_gap(Gap(min(from_ns, until_ns), until_ns, RESTED, GapCause.RESTED))
         self._rests_ns = None
 
     def _batch(self, number: int | None) -> Batch:
-        """What is complete by the end of a round, or all there is: later events of some CPUs are still to come."""
+        """What is complete by the end of a round; None: all there is; 0: nothing after the batch before.
+
+        Later events wait, since those of other CPUs are still to come.
+        """
         until_ns = self._mark_ns if number != 0 else None
         if number is None:
             until_ns = max(self._last_ns + 1, self._until_ns)
@@ -382,24 +386,24 @@ class WatchReader:
             self._add_gap(Gap(*self._left_out_ns, TOO_MANY, GapCause.EVENTS_LOST))
             self._left_out_ns = None
         if until_ns is None:
-            # The mark was lost: what is read is given with the next.
+            # The mark was lost: the next batch has these events.
             until_ns = self._until_ns
         self._until_ns = until_ns
-        # While probes are switched on or off one after the other, one end of a message is seen, and the other is not.
+        # While probes are switched on or off one after the other, a message may be seen at one end only.
         rests = [gap for gap in self._gaps if gap.cause is GapCause.RESTED]
         silent = [(0, self.begin_ns), *((gap.from_ns, gap.until_ns) for gap in rests)]
         hits, self._hits = _cut(self._hits, until_ns, silent)
         kernel = self._kernel.cut(until_ns, silent)
         self._hits_room.keep(len(self._hits))
         self._kernel_room.keep(len(self._kernel))
-        # The programs of a round are told after its pages.
+        # A round lists its programs after its pages.
         pids = self._pids
         hits = tuple(hit._replace(pid=pids[hit.tid]) if not hit.pid and hit.tid in pids else hit for hit in hits)
-        # In the order of time, of all CPUs: the thread of a timer goes from one to another.
+        # All CPUs in the order of time: the thread of a timer moves from one CPU to another.
         for hit in hits:
             if hit.event == _TIMER_CALL and isinstance(hit.values, dict):
                 self._timers.check((hit.pid or -hit.tid, hit.values.get("timer")), hit.values)
-        # One that lasts longer than the round, too: it comes no later than the hits of other CPUs within it.
+        # A gap that outlasts the round is included, too: it must come no later than the hits of other CPUs within it.
         gaps = tuple(sorted(gap for gap in self._gaps if gap.from_ns <= until_ns))
         self._gaps = [gap for gap in self._gaps if gap.from_ns > until_ns]
         batch = Batch(
@@ -417,7 +421,7 @@ class WatchReader:
 
 
 def _cut(hits: list[Hit], until_ns: int, silent: Sequence[tuple[int, int]]) -> tuple[tuple[Hit, ...], list[Hit]]:
-    """Those up to a time, in the order of time, without those of silent times; and those that are later."""
+    """The hits up to a time, in the order of time and without those of silent times; and the later hits."""
     hits.sort(key=itemgetter(0))
     for from_ns, before_ns in silent:
         first, last = bisect_left(hits, from_ns, key=itemgetter(0)), bisect_left(hits, before_ns, key=itemgetter(0))

@@ -1,7 +1,7 @@
 """Where in a library's file a function begins, read from the file itself, which comes from a target.
 
-A probe is placed at an offset of the file. Where that is not certain there is a reason instead: a probe at any other
-place makes programs compute wrongly.
+A probe is placed at an offset of the file. If the offset is not certain, there is a reason instead: a probe at any
+other place makes programs compute wrongly.
 """
 
 import struct
@@ -17,12 +17,12 @@ from rtrun.targets.inspection import architecture
 FILE_BYTES_MAX = 64 * 1024 * 1024
 # libroscpp has 5000.
 SYMBOLS_MAX = 200_000
-# The parts of a file that are loaded, and those that a linker knows: of libraries there are 10 and 40.
+# The parts of a file that are loaded, and those that a linker knows: libraries have about 10 and 40.
 SEGMENTS_MAX = 256
 SECTIONS_MAX = 4096
-# elf(5), of little-endian files by their bits: each structure, and which of its numbers are read. Of the header that is
-# where segments and sections begin, and size and number of each; of a segment type, flags, offset, address and size; of
-# a section type, offset, size and the section that it is linked to; of a symbol name, value, type and section.
+# elf(5): the structures of little-endian files by their bits, and which of their numbers are read. Header: where
+# segments and sections begin, the size and the number of each. Segment: type, flags, offset, address, size. Section:
+# type, offset, size, linked section. Symbol: name, value, type, section.
 _BITS = {1: 32, 2: 64}
 _HEADER = {64: struct.Struct("<18xH12xQQ6xHHHH2x"), 32: struct.Struct("<18xH8xII6xHHHH2x")}
 _SEGMENT = {64: (struct.Struct("<IIQQ8xQ16x"), (0, 1, 2, 3, 4)), 32: (struct.Struct("<III4xI4xI4x"), (0, 4, 1, 2, 3))}
@@ -34,8 +34,8 @@ _UNDEFINED = 0
 # The machine of ELF's header, its class in bits.
 _ARCHITECTURES: dict[tuple[int, int], Architecture] = {(62, 64): "x86_64", (183, 64): "aarch64", (40, 32): "armv7"}
 _EXECUTABLE = 1
-# What functions begin with on x86 where jumps are guarded, as in Ubuntu: it does nothing. The kernel has it executed by
-# a single step, which takes 9 us on a virtual machine; a push, which mostly follows, it does itself, in 0.7 us.
+# Functions on x86 begin with this instruction if jumps are guarded, as in Ubuntu; it does nothing. The kernel executes
+# it by a single step, which takes 9 us on a virtual machine. It emulates a push, which mostly follows, in 0.7 us.
 _ENDBR64 = bytes.fromhex("f30f1efa")
 
 
@@ -48,9 +48,9 @@ class NotProbed:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LibrarySymbols:
-    """The functions of one file that were looked for: the offset of each's first instruction, or why it has none.
+    """The wanted functions of one file: the offset of the first instruction of each, or why it has none.
 
-    Names that are not in here are not in the file.
+    Names that are missing here are not in the file.
     """
 
     architecture: Architecture
@@ -58,7 +58,7 @@ class LibrarySymbols:
 
 
 def read_symbols(path: Path, names: Collection[str]) -> LibrarySymbols | NotProbed:
-    """Find functions in the table of dynamic symbols, which every library has. Nothing is raised for any file."""
+    """Find functions in the table of dynamic symbols, which every library has. Raises nothing, whatever the file."""
     try:
         data = read_bytes(path, max_bytes=FILE_BYTES_MAX)
     except UsageError as error:
@@ -70,7 +70,7 @@ def read_symbols(path: Path, names: Collection[str]) -> LibrarySymbols | NotProb
 
 
 def _read(data: bytes, names: Collection[str]) -> LibrarySymbols | NotProbed:
-    """Read it by offsets alone. Raises struct.error or OverflowError where one is beyond its end, ValueError."""
+    """Read a file by offsets alone. Raises ValueError, and struct.error or OverflowError for offsets beyond its end."""
     if len(data) < architecture.HEADER_BYTES or not data.startswith(b"\x7fELF") or data[4] not in _BITS:
         raise ValueError("it does not begin as a program or library")
     bits = _BITS[data[4]]
@@ -126,7 +126,7 @@ def _read(data: bytes, names: Collection[str]) -> LibrarySymbols | NotProbed:
 
 
 def _offset(value: int, kind: int, segments: Collection[tuple[int, int, int]]) -> int | NotProbed:
-    """The offset in the file of an address, in the part of the file that is executed."""
+    """The offset in the file of an address within an executable part."""
     if kind != _FUNCTION:
         return NotProbed(f"it is no plain function (its type is {kind})")
     if value % 2:

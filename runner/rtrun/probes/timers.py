@@ -1,7 +1,8 @@
-"""What a probe read of a timer's own members is checked before it is passed on.
+"""Checks of what a probe read from a timer's own members, before it is passed on.
 
-They are no part of any interface: a release that is not known here may have other members there. A period is passed on
-where it can be one, the time when the timer was to fire where it is whole periods after that of the call before.
+The members are not part of any interface: a release that is not known here may have others there. A period is passed on
+if it can be one. The time at which the timer was to fire is passed on if it is whole periods after that of the call
+before.
 """
 
 from collections.abc import Hashable
@@ -17,7 +18,7 @@ class TimerChecks:
         self._before: dict[Hashable, tuple[int, int]] = {}
 
     def check(self, timer: Hashable, values: dict[str, int | str]) -> None:
-        """Remove from the values of a call what may not be believed: `expected_ns`, `period_ns` and `clock`."""
+        """Remove from the values of a call what cannot be trusted: `expected_ns`, `period_ns` and `clock`."""
         period_ns, expected_ns = values.get("period_ns"), values.get("expected_ns")
         if not isinstance(period_ns, int) or not 0 < period_ns <= _PERIOD_MAX_NS:
             for name in ("period_ns", "expected_ns", "clock"):
@@ -30,7 +31,7 @@ class TimerChecks:
         if before is None and len(self._before) >= _TIMERS_MAX:
             self._before.clear()
         self._before[timer] = (period_ns, expected_ns)
-        # Its first call, or the first after it was set anew: there is nothing to compare with.
+        # Its first call, or the first after it was set again: there is nothing to compare with.
         step_ns = expected_ns - before[1] if before is not None and before[0] == period_ns else 0
         if step_ns <= 0 or step_ns % period_ns:
             del values["expected_ns"]

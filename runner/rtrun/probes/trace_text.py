@@ -1,7 +1,7 @@
 """Decoded events of the kernel as text, in the form in which the kernel prints them (Documentation/trace/ftrace.rst).
 
-That is the form of every trace that is kept. Times have nanoseconds here. Addresses of the kernel are hashed, as the
-kernel does it in its own text; the functions that have a name in `symbols` are printed by it.
+Every trace is kept in this form. Times have nanoseconds here. Kernel addresses are hashed, as in the kernel's own text;
+functions with a name in `symbols` are printed by that name.
 """
 
 import contextlib
@@ -37,10 +37,10 @@ _SYSTEM_CALL = re.compile(r"sys_(enter|exit)_(\w+)", re.ASCII)
 
 
 def trace_text(events: Iterable[Hit], gaps: Iterable[Gap], symbols: Mapping[int, str]) -> Iterator[str]:
-    """Yield a line for each event, in their order, each with its line feed. The events are gone through twice.
+    """Yield a line for each event, in order, with its line feed. The events are iterated twice.
 
-    Before the first one of each CPU after a gap is the line by which the kernel says that events are lost. What a
-    target sent that is not as the format of its event says is left out.
+    Before the first event of each CPU after a gap comes the kernel's line for lost events. Events of a target that do
+    not fit their format are left out.
     """
     names = _names(events)
     ends = sorted(gap.until_ns for gap in gaps)
@@ -62,7 +62,7 @@ def trace_text(events: Iterable[Hit], gaps: Iterable[Gap], symbols: Mapping[int,
 
 
 def _names(events: Iterable[Hit]) -> dict[int, str]:
-    """Names of threads, as their switches tell them."""
+    """The names of threads, taken from their switches."""
     names: dict[int, str] = {}
     for hit in events:
         if hit.event == "sched/sched_switch" and len(names) < _NAMES_MAX:
@@ -112,7 +112,7 @@ def _unsigned(value: int | str) -> int:
 
 @lru_cache(maxsize=4096)
 def _hashed(address: int | str) -> str:
-    """A name for an address that does not tell where it is."""
+    """A name for an address that does not reveal it."""
     return f"{blake2b(_unsigned(address).to_bytes(8), digest_size=4, key=_SECRET).hexdigest():0>16}"
 
 
@@ -148,7 +148,7 @@ def _softirq(values: Values, _: Mapping[int, str]) -> str:
 
 def _timer(values: Values, symbols: Mapping[int, str]) -> str:
     function = symbols.get(_unsigned(values["function"])) or _hashed(values["function"])
-    # In the text the function comes second, in hrtimer_expire_entry last in the event.
+    # The function comes second in the text, but last in the event hrtimer_expire_entry.
     first = {"hrtimer": _hashed(values["hrtimer"]), "function": function}
     return _plain((first | {key: value for key, value in _own(values) if key not in first}).items())
 

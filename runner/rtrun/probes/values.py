@@ -1,4 +1,4 @@
-"""The canonical values of a hit, of what the kernel recorded of the arguments."""
+"""The canonical values of a hit, made from what the kernel recorded of the arguments."""
 
 from collections.abc import Callable, Mapping
 
@@ -8,7 +8,7 @@ Values = dict[str, int | str]
 
 
 def recorded(arguments: Mapping[str, Argument]) -> dict[str, str]:
-    """What the kernel is told to record of the arguments: each with its type, by the name that it has in the event."""
+    """What the kernel is to record of the arguments: each with its type, by its name in the event."""
     told: dict[str, str] = {}
     for name, argument in arguments.items():
         if isinstance(argument, Halves):
@@ -21,9 +21,10 @@ def recorded(arguments: Mapping[str, Argument]) -> dict[str, str]:
 
 
 def converter(arguments: Mapping[str, Argument], constants: Mapping[str, str | int]) -> Callable[[Values], None] | None:
-    """What turns the recorded values of a probe into its canonical ones, in place; None where they are the same.
+    """The function that turns a probe's recorded values into its canonical ones; None if they are the same.
 
-    A value that cannot be had is left out. Raises KeyError where a recorded value is missing.
+    The function changes its argument. It leaves out a value that cannot be computed, and raises KeyError if a recorded
+    value is missing.
     """
     steps = [step for name, argument in arguments.items() if (step := _step(name, argument)) is not None]
     if not steps and not constants:

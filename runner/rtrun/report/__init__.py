@@ -1,1 +1,1 @@
-"""How is it shown? What was judged, written down in one of several formats."""
+"""How is it shown? Judgements, written in one of several formats."""

@@ -1,4 +1,4 @@
-"""What is reported about the causes of outliers, on the terminal and in a report."""
+"""How the causes of outliers are reported, on the terminal and in a report."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -27,7 +27,7 @@ from rtrun.targets.inspection.kernel_trace import OPTIONS
 T = TypeVar("T")
 
 Found = tuple[Ranking, tuple[Explained, ...], tuple[str, ...]]
-"""The ranking of culprits, the outliers that it rests on, and why a run's traces could not be read."""
+"""The ranking of culprits, the outliers it is based on, and the reason for each run with unreadable traces."""
 
 REMEDIES_MAX = 3
 NAMES_MAX = 5
@@ -35,16 +35,16 @@ _RAISE = (
     "Most outliers have no trace: raise the limit of the campaign (trace: {above: ...}), so that fewer values ask for "
     "one while another is copied"
 )
-# Idle CPUs and callbacks are listed with an outlier from this share of its value on.
+# Idle CPUs and callbacks are listed with an outlier if they took at least this share of its value.
 BESIDE_FROM = 0.1
-# Who took less of all lateness than this is counted, not listed.
+# Culprits with less than this share of all lateness are counted, not listed.
 LISTED_FROM = 0.01
-# A remedy is given for a culprit that took at least this share of all lateness.
+# A remedy is given for a culprit with at least this share of all lateness.
 REMEDY_FROM = 0.1
 
 
 def explain_source(source: Source) -> tuple[tuple[Explained, ...], tuple[str, ...]]:
-    """The traced outliers of every run at a path, and why a run's traces could not be read."""
+    """The traced outliers of every run at a path, and the reason for each run with unreadable traces."""
     explained: list[Explained] = []
     refused: list[str] = []
     for folder in showing_progress(source.folders, "looking for causes in run"):
@@ -58,7 +58,7 @@ def explain_source(source: Source) -> tuple[tuple[Explained, ...], tuple[str, ..
 def periods(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]:
     """The periods of late values, a row for each output that has one, and why a run could not be searched.
 
-    `of` is their series, None: that of each run's traces.
+    `of` is the series of the values; None: the series of each run's traces.
     """
     found, refused = _search(source, partial(recurring, of=of))
     rows = [
@@ -108,9 +108,9 @@ def _distance(one: Recurring) -> str:
 
 
 def surroundings(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]:
-    """What the sampler saw to be unusual around the highest values, and why a run could not be searched.
+    """What the sampler saw as unusual around the highest values, and why a run could not be searched.
 
-    `of` is as of `periods`.
+    `of` is the same as for `periods`.
     """
     found, refused = _search(source, partial(find_unusual, of=of))
     named = Counter(one.quantity for one in found).most_common(1)
@@ -177,7 +177,7 @@ def answer(ranking: Ranking) -> str:
 
 
 def _not_known(ranking: Ranking, first: Culprit) -> str:
-    """The answer where no event shows what most of the time was waited for: that, and what the rest was."""
+    """The answer where no event explains most of the waiting time: that fact, and the cause of the rest."""
     rest = next((one for one in ranking.culprits if one.kind not in NAMELESS), None)
     return (
         f"Cannot be known from the traces: {culprit_name(first)} is the main part of {first.main} of "
@@ -194,14 +194,14 @@ def culprit_name(culprit: Culprit) -> str:
 
 
 def _who(culprit: Culprit) -> str:
-    """The name, and how many threads have it: a program that is started again and again has another id each time."""
+    """The name, and how many threads have it: a program that is restarted again and again gets a new id each time."""
     if culprit.alike:
         return f"{culprit.name} ({culprit.threads + culprit.alike} threads of such names)"
     return culprit.name if culprit.threads < 2 else f"{culprit.name} ({culprit.threads} threads of this name)"
 
 
 def remedies(ranking: Ranking) -> Iterator[str]:
-    """What to change about the first culprits, a sentence each, with its source."""
+    """What to change about the first culprits, one sentence each, with its source."""
     grave = [one for one in ranking.culprits if one.extra_ns >= REMEDY_FROM * ranking.late_ns]
     names: dict[str, list[str]] = defaultdict(list)
     for culprit in grave:
@@ -213,7 +213,7 @@ def remedies(ranking: Ranking) -> Iterator[str]:
 
 
 def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
-    """The ranking of culprits; without rows where there is no trace."""
+    """The ranking of culprits; without rows where there are no traces."""
     listed = [
         one
         for one in ranking.culprits
@@ -305,9 +305,9 @@ def without_trace(explained: Iterable[Explained]) -> list[str]:
 
 
 def lines(one: Explained, *, every: bool = True) -> Iterator[str]:
-    """An outlier and what its time consists of, the longest first, a line each; they add up to the value.
+    """An outlier and the parts of its time, longest first, a line each; the parts add up to the value.
 
-    Unless it is to be `every` part, those that took less than `LISTED_FROM` of it are one.
+    Unless `every` part is wanted, the parts below `LISTED_FROM` of the value share one line.
     """
     outlier = one.outlier
     at = f"{outlier.at_ns // 10**9}.{outlier.at_ns % 10**9 // 1000:06} s"
@@ -342,13 +342,13 @@ def lines(one: Explained, *, every: bool = True) -> Iterator[str]:
 
 
 def _cause(cause: Cause | Culprit) -> str:
-    """What took the time and, in brackets, a thread's id and priority."""
+    """What took the time and, in brackets, the id and priority of a thread."""
     of_thread = "" if cause.pid is None else f"({', '.join(filter(None, [f'pid {cause.pid}', _priority(cause)]))})"
     return " ".join(filter(None, [cause.kind.value, cause.name, of_thread]))
 
 
 def _priority(cause: Cause | Culprit) -> str:
-    """The priority of a thread and, where it is the higher one, that of the thread that waited."""
+    """The priority of a thread and, where it is higher, that of the waiting thread."""
     above = "" if cause.above is None else f" above {_policy(cause.above)}"
     return "" if cause.prio is None else f"{_policy(cause.prio)}{above}"
 
@@ -365,6 +365,6 @@ def _percent(part_ns: int, whole_ns: int) -> str:
 
 
 def ranked(source: Source) -> Found:
-    """The ranking at a path, what it rests on, and what was refused."""
+    """The ranking at a path, the outliers it is based on, and what was refused."""
     explained, refused = explain_source(source)
     return rank(explained), explained, refused

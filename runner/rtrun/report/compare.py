@@ -32,7 +32,7 @@ def as_text(compared: Compared) -> str:
 
 
 def _shift(shift: Shift, c: Comparison) -> str:
-    """A shift with its interval; from few runs without one, for what differs between runs is not in it."""
+    """A shift with its interval; without one for few runs, as it would not include differences between runs."""
     text = f"{shift.figure:7} {time(shift.a_ns)} -> {time(shift.b_ns)}, "
     if c.units == "blocks":
         return f"{text}{signed(shift.shift_ns)} in these runs; an interval takes five runs a side"
@@ -77,7 +77,7 @@ def _ratio(ratio: Ratio | None, confidence: float) -> str:
 
 
 def as_json(compared: Compared) -> str:
-    """The answer for programs; infinite ends are null, and those of intervals that too few runs do not allow."""
+    """The answer for programs; infinite ends are null, and so are intervals that too few runs do not allow."""
     data = _finite(dataclasses.asdict(compared))
     for change in data["changes"]:
         if change["comparison"]["units"] == "blocks":

@@ -1,4 +1,4 @@
-"""The contents of a report in the order in which it is read; the HTML and the Markdown format write them down."""
+"""The contents of a report in reading order; the HTML and the Markdown format write them."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -24,11 +24,10 @@ from rtrun.targets.inspection.platform import Platform
 
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """A report: the answer, what it rests on, every scenario, then what is looked up.
+    """A report: the answer, what it is based on, every scenario, then the reference sections.
 
-    `worst` is the scenario with the highest value, of those with a deadline where there are some; None: nothing was
-    measured. `facts` are (what, value).
-    `stacks` are the layers put upon one another, `topologies` the graphs that were measured.
+    `worst` is the scenario with the highest value, among those with a deadline if there are any; None: nothing was
+    measured. `facts` are (what, value). `stacks` are the layers put upon one another, `topologies` the measured graphs.
     """
 
     title: str
@@ -49,7 +48,7 @@ def contents(study: Study) -> Contents:
     """Put a study into words."""
     made, pairs, found = scenarios(study), layer_pairs(study), causes.ranked(study.source)
     topologies = measured_topologies(study)
-    # Boards that are alike say together whether they have measured enough.
+    # Equal boards decide together whether enough was measured.
     deciding = [one for one in made if one.group.key not in study.members or one.answer != Answer.NEEDS_MORE]
     measured = [one for one in made if one.figures.max_ns is not None]
     measured = [one for one in measured if one.group.question] or measured
@@ -65,13 +64,13 @@ def contents(study: Study) -> Contents:
         tables=sections(ReportInput(study=study, pairs=pairs, found=found, topologies=topologies)),
         stacks=stacks(pairs),
         topologies=topologies,
-        # Who reads the report need not know where the results lay.
+        # Readers of the report need not know where the results were stored.
         left_out=tuple(printable(text.removeprefix(f"{study.source.path}/")) for text in study.left_out),
     )
 
 
 def _title(study: Study, made: Sequence[Scenario]) -> str:
-    """What was measured, in as many words as the tab of a browser shows."""
+    """What was measured, in as many words as a browser tab shows."""
     what = made[0].label if len(made) == 1 else f"{study.source.path.resolve().name}, {counted(len(made), 'scenario')}"
     return f"{what}: real-time report"
 
@@ -123,7 +122,7 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
 
 
 def _for_which_boots(made: Sequence[Scenario]) -> str:
-    """Of which boots the proofs speak, of all scenarios the least that one does."""
+    """The boots that the proofs apply to: the weakest statement over all scenarios."""
     verdicts = [one.group.verdict for one in made if one.group.verdict]
     if any(verdict.boots is None for verdict in verdicts):
         return "on boots that are not known"
@@ -135,7 +134,7 @@ def _all(total: int) -> str:
 
 
 def _next_step(made: Sequence[Scenario], platform: Platform, culprits: Ranking) -> str:
-    """What to do: where values are late and traces name a cause, its remedy."""
+    """What to do next: where values are late and traces name a cause, its remedy."""
     answers = {one.answer for one in made}
     if culprits.outliers and answers & {Answer.REFUTED, Answer.NEEDS_MORE, Answer.NO_DEADLINE}:
         advice = next(causes.remedies(culprits), "")
@@ -159,11 +158,11 @@ def _next_step(made: Sequence[Scenario], platform: Platform, culprits: Ranking) 
 
 
 def _facts(study: Study) -> list[tuple[str, str]]:
-    """What was measured where."""
+    """What was measured, and where."""
     targets = [record.target for record in study.records]
     real_time = {True: "PREEMPT_RT", False: "without PREEMPT_RT", None: "PREEMPT_RT not known"}
     boots = {str(target.boot_id) for target in targets if target.boot_id}
-    # What was observed at the same time took that time once.
+    # Streams that were observed at the same time count that time once.
     at_once = {(record.start_time, record.end_time): record for record in study.records if record.subject == "attached"}
     started = [record for record in study.records if record.subject == "started"]
     seconds = sum(record.duration_s for record in (*started, *at_once.values()))

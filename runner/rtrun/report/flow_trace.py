@@ -1,7 +1,7 @@
 """Messages and callbacks of observed programs as a trace that ui.perfetto.dev opens: Chrome's JSON format.
 
-Slices are complete events (``X``), which nest on their thread. A message is an arrow (``s``, ``f``) between two of
-them: where it was published, and where it was received. Google's "Trace Event Format" names the fields.
+Slices are complete events (``X``), which nest on their thread. A message is an arrow (``s``, ``f``) from the slice
+where it was published to the slice where it was received. Google's "Trace Event Format" names the fields.
 """
 
 import json
@@ -12,12 +12,12 @@ from rtfiles.output import counted, printable
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.probes.hits import ObservedProgram
 
-# An arrow begins and ends at a slice. A moment has the shortest one, so that it lies within the callback around it.
+# An arrow begins and ends at a slice. A moment gets the shortest slice, so that it lies within its callback.
 _MOMENT_NS = 1
 
 
 def flow_trace(recorder: FlowRecorder, programs: Iterable[ObservedProgram]) -> str:
-    """The trace as JSON, times in microseconds of CLOCK_MONOTONIC; `programs` give their names and those of threads."""
+    """The trace as JSON, times in microseconds of CLOCK_MONOTONIC; `programs` name themselves and their threads."""
     slices = sorted(_slices(recorder), key=lambda event: event["ts"])
     trace = {"traceEvents": [*_names(programs), *slices], "displayTimeUnit": "ns", "otherData": {}}
     if recorder.left_out:

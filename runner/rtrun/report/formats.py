@@ -22,7 +22,7 @@ from rtrun.report.run_facts import fingerprint
 from rtrun.report.tables import Table
 
 _PARAMETERS = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
-# Characters that XML 1.0 cannot hold at all.
+# Characters that XML 1.0 cannot contain.
 _NOT_XML = dict.fromkeys([*(c for c in range(32) if chr(c) not in "\t\n\r"), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF])
 
 
@@ -57,14 +57,14 @@ def _markdown_table(table: Table) -> list[str]:
 
 
 def _plain(text: str) -> str:
-    """Text that stays text in a Markdown cell."""
+    """Text that stays plain text in a Markdown cell."""
     for special in "\\`*_<>|[]":
         text = text.replace(special, "\\" + special)
     return " ".join(text.split())
 
 
 def as_json(study: Study) -> str:
-    """Everything that was found, for programs; numbers that do not exist are null."""
+    """All findings, for programs; numbers that do not exist are null."""
     data = {
         "schema": 2,
         "platform": study.platform,
@@ -128,7 +128,7 @@ def _series(one: Digest) -> dict[str, Any]:
 
 
 def junit(gate: Gate) -> str:
-    """The gate as JUnit XML: one test case a group; not proven is a failure, whatever the reason."""
+    """The gate as JUnit XML: one test case per group; anything not proven is a failure, whatever the reason."""
     counts = {
         "tests": str(len(gate.cases)),
         "failures": str(sum(not case.passed for case in gate.cases)),
@@ -154,7 +154,7 @@ def _xml(text: str) -> str:
 
 
 def lava(study: Study, gate: Gate) -> str:
-    """The words for a call of LAVA's `lava-test-case` in each line: the gate's cases, and figures as measurements."""
+    """In each line, the arguments for LAVA's `lava-test-case`: the gate's cases, and figures as measurements."""
     lines = [f"{_test_case(case.about)} --result {'pass' if case.passed else 'fail'}" for case in gate.cases]
     for one in study.digests:
         figures = {f"p{p:g}": one.figures.percentiles_ns.get(p) for p in PERCENTILES} | {"max": one.figures.max_ns}
@@ -168,12 +168,12 @@ def lava(study: Study, gate: Gate) -> str:
 
 
 def _test_case(text: str) -> str:
-    """A name of a test case: no character in it means anything to LAVA or to a shell."""
+    """The name of a test case, without any character that means something to LAVA or to a shell."""
     return re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-")
 
 
 def rows(study: Study) -> list[dict[str, Any]]:
-    """The table as plain rows, one a series of an output: what CSV and Parquet hold. Times in us."""
+    """The table as plain rows, one per series of an output, for CSV and Parquet. Times in us."""
     return [
         {key: printable(value) if isinstance(value, str) else value for key, value in _plain_row(one).items()}
         for one in (*study.digests, *study.others)
@@ -205,7 +205,7 @@ def _us(value_ns: float | None) -> float | None:
 def as_csv(study: Study) -> str:
     """The table as CSV with a header line; an empty cell is a number that does not exist.
 
-    A text that a spreadsheet would take for a formula has an apostrophe before it.
+    A text that a spreadsheet would take for a formula gets a leading apostrophe.
     """
     table = [{key: _no_formula(value) for key, value in row.items()} for row in rows(study)]
     stream = io.StringIO()

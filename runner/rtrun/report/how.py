@@ -1,4 +1,4 @@
-"""How the figures of a report are made, in its own words: how.yml."""
+"""How the figures of a report are computed, in the report's words: how.yml."""
 
 import functools
 from collections.abc import Mapping
@@ -26,5 +26,5 @@ class _Explanations(Config):
 
 @functools.cache
 def explanations() -> Mapping[str, Explanation]:
-    """Read how.yml: explanations by the names that tables have for them."""
+    """Read how.yml: explanations by the names that tables use."""
     return load(DATA, _Explanations).explanations

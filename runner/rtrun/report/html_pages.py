@@ -1,4 +1,4 @@
-"""What pages of HTML share: the report's, and those of a site about an archive."""
+"""Shared by HTML pages: those of the report, and those of a site about an archive."""
 
 import json
 from collections.abc import Iterable
@@ -14,7 +14,7 @@ _FOLDER = Path(__file__).parent
 
 
 def templates(*folders: Path) -> "Environment":
-    """The templates of these folders and of the report. What is filled in is escaped."""
+    """The templates in these folders and of the report. Inserted text is escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -30,15 +30,15 @@ def templates(*folders: Path) -> "Environment":
 
 
 def script(*names: str) -> str:
-    """Scripts of the report, one after the other."""
+    """Scripts of the report, one after another."""
     return "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in names)
 
 
 def drawings(plots: Iterable[Plot]) -> list[Drawn]:
-    """The plots as a template takes them."""
+    """The plots in the form that a template takes."""
     return [drawn(plot) for plot in plots]
 
 
 def as_json(value: Any) -> str:
-    """JSON that cannot end the script element that holds it."""
+    """JSON that cannot end the script element around it."""
     return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

@@ -1,4 +1,4 @@
-"""What other nodes add to a topology's paths, as a table."""
+"""What other nodes add to the paths of a topology, as a table."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ _FIGURES = ("mean", *INFLUENCE_QUANTILES, LATE)
 
 
 def table(found: Sequence[Influence], confidence: float) -> Table:
-    """For each path a row of it alone, with its figures, and one for each that stood beside it, with what that adds."""
+    """Rows for each path: one of it alone, and one for each set of other nodes with what these add."""
     rows = []
     for alone in alone_of(found):
         rows.append((_path(alone), "nothing", str(alone.n), *(_alone(alone, figure) for figure in _FIGURES)))
@@ -65,14 +65,14 @@ def _cells(one: Influence) -> tuple[str, ...]:
 def _cell(added: Added) -> str:
     half = (added.high - added.low) / 2
     if added.figure == LATE:
-        # Where all runs are alike, as without a late value, nothing is known of how much one differs from the next.
+        # Where all runs are equal, for example without late values, the differences between runs are not known.
         alike = "none late" if not added.added else f"{added.added:+.2g} in all runs"
         return f"{added.added:+.2g} ± {half:.2g}" if half > _ROUNDING else alike
     return f"{signed(added.added)} ± {time(round(half))}"
 
 
 def _outcome(found: Sequence[Influence]) -> str:
-    """The one that adds most to a median beyond doubt."""
+    """The other nodes that add most to a median beyond doubt."""
     medians = [(one, each) for one in found for each in one.attribution.added if each.figure == "median"]
     seen = [(one, each) for one, each in medians if each.low > 0]
     if not medians:

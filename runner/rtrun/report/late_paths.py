@@ -1,4 +1,4 @@
-"""Where the time of a topology's late reactions went, as a table."""
+"""Where a topology's late reactions spent their time, as a table."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,14 +12,14 @@ from rtrun.report.tables import Table
 from rtrun.results.run_directory import closing_record
 from rtrun.results.topology_record import FILE, TopologyRecord, read_topology_record
 
-# A part that made less of a reaction late than this is not listed.
+# Parts that caused less than this share of a reaction's lateness are not listed.
 LISTED_FROM = 0.02
 
 
 def late_paths(folders: Sequence[Path]) -> tuple[Table | None, tuple[str, ...]]:
     """A row for each part that made reactions and responses late, of runs of topologies; why one cannot be read.
 
-    None where there are no topologies.
+    The table is None where there are no topologies.
     """
     found: list[tuple[str, LatePath]] = []
     refused: list[str] = []
@@ -59,7 +59,7 @@ def _of_run(folder: Path, record: TopologyRecord) -> list[LatePath]:
     deadlines = {path.topics: path.reaction_ns for path in record.topology.paths}
     paths = (NodePath(topics=tuple(path.topics), nodes=tuple(path.nodes)) for path in record.paths)
     found = [late_path(tables, path, deadlines.get(path.topics)) for path in paths]
-    # A response is a reaction along a path of one node.
+    # A response is a reaction along a path with a single node.
     found += (
         late_path(tables, NodePath(topics=(), nodes=(node.name,)), node.deadline_ns)
         for node in record.topology.nodes
@@ -69,7 +69,7 @@ def _of_run(folder: Path, record: TopologyRecord) -> list[LatePath]:
 
 
 def run_of(folder: Path) -> Path:
-    """The run of a topology whose stream a folder holds; the folder itself where it holds none."""
+    """The run of the topology whose stream is in this folder; otherwise the folder itself."""
     closed = None if (folder / FILE).is_file() else closing_record(folder)
     run = folder.with_name(closed.observed_by) if closed and closed.observed_by else folder
     return run if (run / FILE).is_file() else folder
@@ -84,7 +84,7 @@ def _listed(one: LatePath) -> list[PathPart]:
 
 
 def _outcome(found: Sequence[tuple[str, LatePath]]) -> str:
-    """The part that made reactions latest, in one sentence."""
+    """The part that contributed most to late reactions, in one sentence."""
     worst = max((one for _, one in found), key=lambda one: one.parts[0].extra_ns)
     part = worst.parts[0]
     more = f"{time(round(part.extra_ns))} more than otherwise"

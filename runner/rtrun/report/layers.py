@@ -48,7 +48,7 @@ def _cell(added: Added) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class LayerBar:
-    """One layer of a stack: the mean of the lowest, or what one above adds to it, with its interval, in us."""
+    """One layer of a stack: the mean of the lowest layer, or what a higher one adds, with its interval, in us."""
 
     label: str
     short: str
@@ -58,7 +58,7 @@ class LayerBar:
 
 
 def stacks(pairs: Sequence[LayerPair]) -> tuple[tuple[LayerBar, ...], ...]:
-    """Each chain of layers from the lowest one on."""
+    """Each chain of layers, from the lowest up."""
     return tuple(
         (
             LayerBar(label=chain[0].below.label, short=_short(chain[0].below), us=mean, low_us=mean, high_us=mean),

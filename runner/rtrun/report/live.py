@@ -1,4 +1,4 @@
-"""What is measured of observed programs, as it stands now: a table that is drawn anew, lines, or JSON."""
+"""Current measurements of observed programs: a table that is redrawn, lines, or JSON."""
 
 import json
 from typing import TYPE_CHECKING, Self
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.live import Live
 
 _HEADINGS = ("what", "of", "number", "rate/Hz", "median", "p99", "worst", "lost", "misses")
-_ROUND_THE_TABLE = 5  # lines of a screen that the table leaves free
+_ROUND_THE_TABLE = 5  # lines of a screen outside the table
 
 
 def live_table(snapshot: Snapshot, width: int, height: int) -> "Group":
@@ -55,7 +55,7 @@ def _cells(row: LiveRow) -> tuple[str, ...]:
 
 
 def live_line(snapshot: Snapshot) -> str:
-    """The same in a line: how much there is, and the worst of what has a deadline, as that names it."""
+    """The same in one line: how much there is, and the worst value of what has a deadline, by name."""
     rows = _shown(snapshot)
     messages = [row for row in rows if row.kind is MESSAGES]
     parts = [
@@ -75,13 +75,13 @@ def live_line(snapshot: Snapshot) -> str:
 
 
 def live_json(snapshot: Snapshot) -> str:
-    """The same as one JSON object in a line, for programs."""
+    """The same as a JSON object in one line, for programs."""
     rows = [{name: getattr(row, name) for name in row.__slots__} | {"kind": str(row.kind)} for row in snapshot.rows]
     return json.dumps({name: getattr(snapshot, name) for name in snapshot.__slots__} | {"rows": rows})
 
 
 class LiveView:
-    """Shows snapshots: on a terminal a table in its place, elsewhere a line for each, or JSON."""
+    """Shows snapshots: on a terminal as a table that is redrawn in place, elsewhere as a line each, or as JSON."""
 
     def __init__(self, *, as_json: bool = False) -> None:
         self._console = console()
@@ -101,7 +101,7 @@ class LiveView:
             self._live.__exit__(None, None, None)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show how it stands."""
+        """Show a snapshot."""
         if self._live is not None:
             self._live.update(live_table(snapshot, self._console.width, self._console.height), refresh=True)
         else:

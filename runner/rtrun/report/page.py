@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs no network: styles, script, pictures and the data are in it."""
+"""The report as one HTML file that needs no network: it contains the styles, script, pictures and data."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from rtrun.report.plots.graph import drawn_topology
 from rtrun.report.plots.stacks import stacked
 from rtrun.report.scenarios import Scenario
 
-# The class of an answer in the styles, which give it its colour, and its mark, for eyes and paper without colours.
+# The style class of an answer, which gives its colour, and its mark, for eyes and paper without colours.
 _ANSWERS: dict[str, tuple[str, str]] = {
     "PROVEN": ("proven", "✓"),
     "PROVEN IF INDEPENDENT": ("more", "✓"),
@@ -58,7 +58,7 @@ def _card(study: Study, scenario: Scenario) -> dict[str, Any]:
 
 
 def _overview(cards: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """The picture of all scenarios on one logarithmic axis, in percentages of its width; None where there is none."""
+    """The picture of all scenarios on one logarithmic axis, in percentages of its width; None without scenarios."""
     measured = [card for card in cards if card["scenario"].figures.max_ns is not None]
     values_ns = [value for card in measured for value in _ends(card["scenario"]) if value is not None and value > 0]
     if not values_ns:

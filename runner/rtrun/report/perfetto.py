@@ -1,7 +1,7 @@
 """Outliers as a trace that ui.perfetto.dev opens: slices on tracks, in Perfetto's protobuf format.
 
-Written by hand, because a dozen fields of protos/perfetto/trace/ are all that is needed: `Trace.packet`,
-`TracePacket`, `TrackDescriptor` and `TrackEvent`. A test reads it with the classes that Perfetto publishes.
+It is encoded by hand, because it needs only a dozen fields of protos/perfetto/trace/: `Trace.packet`, `TracePacket`,
+`TrackDescriptor` and `TrackEvent`. A test reads it with the classes that Perfetto publishes.
 """
 
 from collections.abc import Iterable, Iterator
@@ -11,7 +11,7 @@ from rtfiles.quantities import time
 from rtrun.causes.events import Context
 from rtrun.causes.outliers import Explained
 
-# Numbers of fields, by message.
+# Field numbers, by message.
 _TRACE_PACKET = 1
 _PACKET_TIMESTAMP, _PACKET_SEQUENCE, _PACKET_EVENT, _PACKET_TRACK = 8, 10, 11, 60
 _TRACK_UUID, _TRACK_NAME, _TRACK_PARENT = 1, 2, 5
@@ -20,11 +20,11 @@ _SLICE_BEGIN, _SLICE_END = 1, 2
 _SEQUENCE = 1
 
 Slice = tuple[int, int, str]
-"""From when to when in nanoseconds, and its name."""
+"""Begin and end in nanoseconds, and the name."""
 
 
 def perfetto(explained: Iterable[Explained]) -> bytes:
-    """The trace: for each run a track with its measured values, one with what each consists of, and one a CPU."""
+    """The trace: for each run a track with its measured values, one with their parts, and one per CPU."""
     tracks: dict[str, dict[str, list[Slice]]] = {}
     for one in explained:
         outlier = one.outlier
@@ -54,7 +54,7 @@ def _packets(tracks: dict[str, dict[str, list[Slice]]]) -> Iterator[bytes]:
             yield _track(uuid, name, parent)
             end_ns = 0
             for begin_ns, finish_ns, about in sorted(slices):
-                # Outliers that follow each other closely show the same moments: each is drawn once.
+                # Outliers close to each other show the same moments: each moment is drawn once.
                 begin_ns = max(begin_ns, end_ns)
                 if begin_ns < finish_ns:
                     end_ns = finish_ns

@@ -1,4 +1,4 @@
-"""Which middleware keeps the deadline best: groups that differ in nothing but the middleware, the best one first."""
+"""Which middleware keeps the deadline best: groups that differ only in the middleware, the best one first."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _QUANTILES = (99.99, 99.0, 50.0)
 
 
 def ranking(study: Study) -> Table:
-    """A row for each middleware of each comparison; none where there is but one, or an emulated board's times."""
+    """A row for each middleware of each comparison; none for a single middleware, or for an emulated board's times."""
     groups = () if study.platform is Platform.EMULATED else study.groups
     compared = [[*map(_ranked, alike)] for alike in _alike_but_for_the_middleware(groups) if len(alike) > 1]
     rows = [_row(place, one) for alike in compared for place, one in enumerate(sorted(alike, key=_rank), start=1)]
@@ -50,7 +50,7 @@ def ranking(study: Study) -> Table:
 
 @dataclass(frozen=True, kw_only=True)
 class _Ranked:
-    """What a middleware is ranked by."""
+    """The values that rank a middleware."""
 
     group: Group
     verdict: Verdict
@@ -67,7 +67,7 @@ def _alike_but_for_the_middleware(groups: Sequence[Group]) -> list[list[tuple[Gr
 
 
 def _what(group: Group) -> str:
-    """What was measured, whatever through."""
+    """What was measured, without the middleware."""
     others = {key: value for key, value in group.parameters.items() if key != "middleware"}
     return f"{group.suite.removesuffix('_tests')} {format_parameters(others)}"
 

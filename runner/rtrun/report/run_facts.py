@@ -1,4 +1,4 @@
-"""The tables of what runs rest on: allocations, environment, how to reproduce them."""
+"""Tables of the facts behind runs: allocations, environment, how to reproduce them."""
 
 import hashlib
 import json
@@ -16,7 +16,7 @@ from rtrun.results.record import RunRecord
 
 
 def allocations(study: Study) -> Table:
-    """How often the programs of runs that count it allocated and freed memory, beside their page faults."""
+    """How often programs allocated and freed memory, in runs that count it, next to their page faults."""
     rows = []
     for record in study.records:
         for program in record.programs:
@@ -39,7 +39,7 @@ def allocations(study: Study) -> Table:
 
 
 def environment_table(study: Study) -> Table:
-    """What the runs were measured on, and what was in effect."""
+    """The machine that the runs were measured on, and the settings in effect."""
     rows = [(key.replace("_", " "), value) for key, value in environment(study.records)]
     seen: dict[str, dict[str, None]] = {}
     for one in study.digests:
@@ -70,11 +70,11 @@ def environment_table(study: Study) -> Table:
 
 
 def reproduce(study: Study) -> Table:
-    """The command lines that measured and examined it, and the checksum of what was examined."""
+    """The command lines that measured and examined the results, and the checksum of what was examined."""
     rows = []
     alike = Counter(_as_asked(record) for record in study.records)
     for record in study.records:
-        # Of repeated runs the first stands for all: 140 command lines are eight printed pages.
+        # The first of repeated runs stands for all: 140 command lines are eight printed pages.
         if others := alike.pop(_as_asked(record), 0):
             lines = " ; ".join(shlex.join(program.argv) for program in record.programs)
             rows.append(("measured", f"{record.run}{f' and {others - 1} like it' if others > 1 else ''}: {lines}"))
@@ -82,7 +82,7 @@ def reproduce(study: Study) -> Table:
     asked = study.question
     of = f" --of {asked.of}" if asked.of else ""
     tolerate = f" --tolerate '{asked.tolerance}'" if asked.tolerance != NONE_TOLERATED else ""
-    # What was observed has a deadline of its own, or none, unless one is named.
+    # An observation has its own deadline or none, unless the question names one.
     is_for_all = all(group.question and group.question.deadline_ns == asked.deadline_ns for group in study.groups)
     deadline = f" --deadline {time_text(asked.deadline_ns)}" if is_for_all else ""
     command = f"rtrun report RESULTS{of}{tolerate}{deadline}"
@@ -104,7 +104,7 @@ def _as_asked(record: RunRecord) -> str:
 
 
 def fingerprint(study: Study) -> str:
-    """A hash of what was examined: the closing records, which hold the checksum of every file."""
+    """A hash of what was examined: the closing records, which contain the checksum of every file."""
     total = hashlib.sha256()
     paths = [folder / "run.json" for folder in study.source.folders] or [study.source.path]
     for path in paths:

@@ -1,4 +1,4 @@
-"""The scenarios of a report: for each group of runs alike its verdict in words and its tables."""
+"""The scenarios of a report: for each group of equal runs its verdict in words and its tables."""
 
 import re
 from collections import Counter
@@ -23,7 +23,7 @@ _PERCENTILES = tuple(p for p in PERCENTILES if p != 95.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """A group of runs alike as the report shows it; `id` is unique in the report and holds only ``a-z0-9-``."""
+    """A group of equal runs as the report shows it; `id` is unique in the report and holds only ``a-z0-9-``."""
 
     id: str
     label: str
@@ -40,23 +40,23 @@ class Scenario:
 
     @property
     def policy(self) -> str:
-        """The scheduling policy that was asked for, as the kernel calls it."""
+        """The requested scheduling policy, as the kernel calls it."""
         policy = printable(str(self.group.parameters.get("policy", "0")))
         return "OTHER" if policy == "0" else policy
 
     @property
     def measured(self) -> str:
-        """What its values are, in words."""
+        """What its values measure, in words."""
         return in_words(printable(self.group.suite), self.group.series)
 
     @property
     def condition(self) -> str:
-        """What ran beside the suite."""
+        """What ran next to the suite."""
         return printable(str(self.group.parameters.get("condition", IDLE)))
 
 
 def scenarios(study: Study) -> tuple[Scenario, ...]:
-    """Every group of a study, and alike boards together, the worst answer first, and within it the highest value."""
+    """Every group of a study, and equal boards together; the worst answers first, then the highest values."""
     made = [_scenario(group, label, study) for group, label in zip(study.answers, _labels(study), strict=True)]
     made.sort(key=lambda one: severity(one.answer, one.figures.max_ns))
     seen: Counter[str] = Counter()
@@ -101,7 +101,7 @@ def _scenario(group: Group, label: str, study: Study) -> Scenario:
 
 
 def _figures(every: Sequence[Digest]) -> Table:
-    """A row for each series; the outputs it sums up are the row's parts. What got lost is told only where it did."""
+    """A row for each series, with its outputs as parts of the row. Losses are shown only where there were some."""
     losses = {
         "missing": [one.header.missing for one in every],
         "out of order": [one.header.out_of_order for one in every],
@@ -152,7 +152,7 @@ def _figures(every: Sequence[Digest]) -> Table:
 
 
 def output_labels(digests: Sequence[Digest]) -> list[str]:
-    """What tells these outputs apart: their runs, the numbers of subscribers, or the names of outputs, or both."""
+    """Labels that distinguish these outputs: runs, numbers of subscribers, names of outputs, or a combination."""
     runs = {one.run for one in digests}
     series = Counter((one.run, one.header.series) for one in digests)
     if max(series.values(), default=0) < 2:
@@ -178,7 +178,7 @@ def _pool_label(members: Sequence[Digest]) -> str:
 
 
 def _startup(every: Sequence[Digest]) -> Table:
-    """A row for each series with the highest value; the outputs are the row's parts."""
+    """A row for each series with the highest start-up value; the outputs are parts of the row."""
     by_series: dict[str, list[tuple[str, Digest]]] = {}
     for label, one in zip(output_labels(every), every, strict=True):
         if one.header.startup:
@@ -213,7 +213,7 @@ def _clusters(every: Sequence[Digest]) -> Table:
 
 
 def _rates(group: Group) -> Table:
-    """What each periodic program was asked for, and what it did."""
+    """The requested and the achieved rate of each periodic program."""
     rows = [
         (
             record.run,

@@ -1,4 +1,4 @@
-"""Tables for a terminal: in columns where no word has to be broken for it, else a line for each cell; the answers."""
+"""Tables for a terminal: in columns if no word has to be broken, otherwise a line for each cell; the answers."""
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-# Columns between two cells.
+# Spaces between two cells.
 _GAP = 2
 _STYLES: dict[str, str] = {
     Answer.PROVEN: "green",
@@ -34,7 +34,7 @@ _STYLES: dict[str, str] = {
 
 
 def styled(word: str) -> "Text":
-    """An answer, or whether it passes, in its colour, which is seen on a terminal alone."""
+    """An answer, or pass or FAIL, in its colour, which only a terminal shows."""
     from rich.text import Text
 
     return Text(printable(word), style=_STYLES.get(word, ""))
@@ -49,7 +49,7 @@ def print_styled(word: str, rest: str = "") -> None:
 def fitted(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: Container[int], width: int) -> "Table":
     """A table of at most `width` columns; cells in the columns `numbers` stay whole.
 
-    Where the words do not fit beside each other, each row becomes a list of headings and cells.
+    If the words do not fit next to each other, each row becomes a list of headings and cells.
     """
     from rich import box
     from rich.table import Table
@@ -68,7 +68,7 @@ def fitted(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: Cont
     spare = width - sum(widths) - (_GAP * len(columns) - 1)
     if spare < 0:
         return _listed(headings, cells)
-    # What is left goes where most is missing, so that few cells take several lines.
+    # Spare width goes to the column that lacks most, so that few cells take several lines.
     missing = [column.most - column.least for column in columns]
     while spare > 0 and max(missing) > 0:
         place = missing.index(max(missing))
@@ -89,7 +89,7 @@ def print_rows(table: tables.Table) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Column:
-    """A column: the width that it needs, and the one at which nothing in it is broken."""
+    """A column: the width that it needs, and the smallest width that breaks nothing in it."""
 
     heading: str
     is_number: bool
@@ -98,12 +98,12 @@ class _Column:
 
 
 def _word(text: str) -> int:
-    """The length of the longest word; an answer is one."""
+    """The length of the longest word; an answer counts as one word."""
     return len(text) if text in _STYLES else max(map(len, text.split()), default=0)
 
 
 def _listed(headings: Sequence[str], rows: "Sequence[Sequence[Text]]") -> "Table":
-    """A line for each cell that holds something, and an empty one between two rows."""
+    """A line for each cell that is not empty, and an empty line between two rows."""
     from rich.table import Table
 
     made = Table.grid(padding=(0, _GAP))
@@ -119,10 +119,10 @@ def _listed(headings: Sequence[str], rows: "Sequence[Sequence[Text]]") -> "Table
 
 
 def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None:
-    """Print a row for each case, with whether it passes where they are `judged`.
+    """Print a row for each case, and whether it passes if the cases are `judged`.
 
-    A sentence says what each answer rests on where that is asked for, and where there is one case alone. Else there is
-    a line for what the numbers do not tell, one where it is the same for several.
+    If `verbose`, or if there is a single case, a sentence explains each answer. Otherwise lines below add what the
+    numbers do not show; a line that applies to several cases is printed once.
     """
     if not cases:
         return

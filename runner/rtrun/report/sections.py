@@ -1,4 +1,4 @@
-"""The sections behind the scenarios of a report, in their order: each is a table of what was examined, or nothing."""
+"""The sections after the scenarios of a report, in their order: each is a table of what was examined, or nothing."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from rtrun.report.worst_cases import worst_cases
 
 @dataclass(frozen=True, kw_only=True)
 class ReportInput:
-    """A study, with the pairs of its layers, what its traces tell, and the topologies that were measured."""
+    """A study, with the pairs of its layers, the findings in its traces, and the measured topologies."""
 
     study: Study
     pairs: Sequence[LayerPair]

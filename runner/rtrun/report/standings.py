@@ -1,4 +1,4 @@
-"""The answers to the goal of a campaign, group by group: what the rounds go by, and what `rtrun verdict` prints."""
+"""The answers to the goal of a campaign, by group: they decide about the rounds, and `rtrun verdict` prints them."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def question(study: Study) -> str:
-    """What the answers are to."""
+    """The question that is answered."""
     return (
         f"P({study.miss}) below {study.question.probability:g}, "
         f"confidence {study.question.confidence:g}, on at least {_count(study.question.boots, 'boot', '')}, "
@@ -36,7 +36,7 @@ def question(study: Study) -> str:
 
 
 def table(standings: Sequence[Standing], width: int) -> "Table":
-    """A row for each group: its answer, what it rests on, and what is still missing; for a screen of this width."""
+    """A row for each group: its answer, what it is based on, and what is still missing; fits a screen of this width."""
     headings = ("group", "answer", "holds for", "P(miss)", "measured", "boots", "time", "missing")
     rows = [
         (
@@ -56,7 +56,7 @@ def table(standings: Sequence[Standing], width: int) -> "Table":
 
 
 def reasons(standings: Sequence[Standing]) -> Iterator[str]:
-    """Why there is no answer, in a line each, for below the table."""
+    """Why there is no answer, one line each, for below the table."""
     by_reason: dict[str, list[str]] = {}
     for standing in filter(_has_reason, standings):
         by_reason.setdefault(missing(standing), []).append(standing.label)
@@ -66,14 +66,14 @@ def reasons(standings: Sequence[Standing]) -> Iterator[str]:
 
 
 def startups(standings: Sequence[Standing]) -> Iterator[str]:
-    """What is left out of each answer as start-up, in a line each, for below the table."""
+    """The start-up that each answer leaves out, one line each, for below the table."""
     for standing in standings:
         if standing.verdict is not None and standing.verdict.startup is not None:
             yield printable(f"{standing.label}: {startup_in_words(standing.verdict)}")
 
 
 def _has_reason(standing: Standing) -> bool:
-    """Whether something other than too few measurements keeps it from an answer."""
+    """Whether something other than too few measurements prevents an answer."""
     verdict = standing.verdict
     if verdict is None or verdict.refused:
         return True
@@ -81,7 +81,7 @@ def _has_reason(standing: Standing) -> bool:
 
 
 def progress_line(progress: Progress, goal: Goal) -> str:
-    """How far a group is, in one line that is read while it is measured."""
+    """The progress of a group in one line, printed while it is measured."""
     standing = progress.standing
     if standing is None or standing.verdict is None:
         return f"{progress.group.name}: nothing is measured yet"
@@ -105,12 +105,12 @@ def _changed(change: Change) -> str:
 
 
 def bound(verdict: Verdict) -> str:
-    """The interval of P(miss), its upper end alone where there is no lower one."""
+    """The interval of P(miss); only its upper end where the lower one is 0."""
     return f"<= {verdict.upper:.2g}" if verdict.lower == 0 else f"{verdict.lower:.2g} to {verdict.upper:.2g}"
 
 
 def missing(standing: Standing) -> str:
-    """What a group lacks for its answer, and how long that takes to measure; empty when it has one."""
+    """What a group lacks for its answer, and how long measuring it takes; empty when it has an answer."""
     verdict = standing.verdict
     if verdict is None:
         return standing.undecidable or "nothing was measured"

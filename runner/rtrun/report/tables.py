@@ -1,4 +1,4 @@
-"""A table of a report, as text that every format writes down."""
+"""A table of a report, as text for every format."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,10 +8,10 @@ from rtfiles.output import printable
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table of text; cells from column `numbers` on hold numbers. ``notes`` stand below it.
+    """A table of text; cells from column `numbers` on hold numbers. ``notes`` come below it.
 
-    `how` is the name of what says how its figures are made (report/how.py).
-    `outcome` says in one line what came out. ``parts[k]`` are the rows that row k sums up, where it does.
+    `how` names the explanation of how its figures are computed (report/how.py). `outcome` is the result in one line.
+    ``parts[k]`` are the rows that row k sums up, if any.
     """
 
     id: str
@@ -25,13 +25,13 @@ class Table:
     how: str = ""
 
     def as_data(self) -> dict[str, object]:
-        """For programs: the rows by the names of the columns."""
+        """For programs: the rows by column name."""
         rows = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
         return {"outcome": self.outcome, "rows": rows, "notes": self.notes}
 
 
 def printable_table(table: Table) -> Table:
-    """The table without what would command a terminal, or cannot be encoded: much in it comes from a target."""
+    """The table without terminal commands and characters that cannot be encoded: much in it comes from a target."""
     return replace(
         table,
         rows=[_printable(row) for row in table.rows],

@@ -1,4 +1,4 @@
-"""What `rtrun show` prints, and `rtrun run` at its end: banner, table of results, and what has to be said of them."""
+"""What `rtrun show` prints, and `rtrun run` at its end: banner, table of results, and remarks."""
 
 import re
 from collections import Counter
@@ -27,13 +27,13 @@ BANNERS = {
 }
 NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"
 PREEMPT_RT_IN_PART = "PREEMPT_RT IN PART OF THE RUNS: the kernel of the others promises no deadline"
-COARSE_NS = 10_000_000  # from here on a tenth of a microsecond is not worth its column
+COARSE_NS = 10_000_000  # from here on a tenth of a microsecond is not worth a column
 
 _UNITS = {"timeout_us": "us", "frequency_hz": "Hz", "payload_bytes": "B", "subscribers": "sub"}
 
 
 def table(results: Sequence[Result]) -> Table:
-    """The table of these results, a row each, times in microseconds; 80 columns are enough for it."""
+    """The table of these results, a row each, times in microseconds; it fits into 80 columns."""
     made = Table(box=box.SIMPLE, padding=0, show_edge=False)
     made.add_column("suite", min_width=len("communication"))
     made.add_column("parameters", min_width=len("parameters"))
@@ -64,7 +64,7 @@ def table(results: Sequence[Result]) -> Table:
 
 
 def _labels(headers: Sequence[Header]) -> list[tuple[str, str]]:
-    """Suite and parameters of every row; where they are the same, with the run and the thread that tell them apart."""
+    """Suite and parameters of every row; equal rows are distinguished by the run and the thread."""
     labels = [(_name(header), _parameters(header)) for header in headers]
     rows = Counter(labels)
     rows_of_run = Counter((label, header.run) for label, header in zip(labels, headers, strict=True))
@@ -73,7 +73,7 @@ def _labels(headers: Sequence[Header]) -> list[tuple[str, str]]:
         words = [parameters] if parameters else []
         of_run = rows_of_run[(name, parameters), header.run]
         if rows[name, parameters] > of_run:
-            # A campaign with a goal repeats a run under its name with the number of the round.
+            # A campaign with a goal repeats a run under its name plus the number of the round.
             number = re.fullmatch(r"([0-9]+)-.*?(-r[0-9]+)?", header.run)
             words.append(f"run={''.join(filter(None, number.groups())) if number else header.run}")
         if of_run > 1:
@@ -83,7 +83,7 @@ def _labels(headers: Sequence[Header]) -> list[tuple[str, str]]:
 
 
 def _name(header: Header) -> str:
-    """The suite; the series only where it is not the one the suite is about."""
+    """The suite; the series only where it is not the main one of the suite."""
     name = stream_words(header.suite, header.parameters)[0] or header.suite.removesuffix("_tests")
     return name if header.is_usual else f"{name} {header.series}"
 
@@ -92,11 +92,11 @@ def _time(value_ns: float | None, bin_ns: int) -> str:
     if value_ns is None:
         return "-"
     digits = 0 if bin_ns >= 1000 or abs(value_ns) >= COARSE_NS else 1
-    return f"{round(value_ns / 1000, digits) + 0.0:.{digits}f}"  # + 0.0: no minus in front of a zero
+    return f"{round(value_ns / 1000, digits) + 0.0:.{digits}f}"  # + 0.0: no minus sign before a zero
 
 
 def _parameters(header: Header) -> str:
-    """The parameters in a few words: the policy, what the output is named after, and whatever is not the default."""
+    """The parameters in a few words: the policy, what the output is named after, and everything but defaults."""
     words: list[str] = []
     for key, value in stream_words(header.suite, header.parameters)[1].items():
         if key == "policy":
@@ -110,14 +110,14 @@ def _parameters(header: Header) -> str:
 
 def _is_telling(suite_name: str, key: str, value: Value) -> bool:
     option, described = options().get(key), find_suite(suite_name)
-    # Of another program nobody knows what it does where an option is not given.
+    # The defaults of another program's options are not known.
     return option is None or described is None or value != option.default or f"{{{key}}}" in described.output
 
 
 def banner_of(platform: Platform, *, preempt_rt: Iterable[bool] = ()) -> str:
-    """What has to be said before any number, in one line; empty when there is nothing to say.
+    """The warning before any number, in one line; empty when there is none.
 
-    `preempt_rt` says of each run whether its kernel was PREEMPT_RT.
+    `preempt_rt` is, for each run, whether its kernel was PREEMPT_RT.
     """
     kernels = set(preempt_rt)
     of_kernels = None if False not in kernels else PREEMPT_RT_IN_PART if True in kernels else NO_PREEMPT_RT
@@ -133,7 +133,7 @@ def print_banner(platform: Platform) -> None:
 def answer(
     results: Iterable[Result], *, platform: Platform, preempt_rt: Iterable[bool] = (), notes: Iterable[str] = ()
 ) -> Group:
-    """The banner if there is one to give, the table, and a line for every note and for every remark on a result."""
+    """The banner if there is one, the table, and a line for every note and for every remark on a result."""
     results = list(results)
     lines = [*notes, *_startup([result.header for result in results])]
     for result in results:
@@ -151,7 +151,7 @@ def answer(
 
 
 def _startup(headers: Sequence[Header]) -> list[str]:
-    """Start-up values, which are in no figure: a line for each series."""
+    """Start-up values, which no figure includes: a line for each series."""
     lines = []
     started = [header for header in headers if header.startup]
     for series in dict.fromkeys(header.series for header in started):
@@ -167,7 +167,7 @@ def _startup(headers: Sequence[Header]) -> list[str]:
 
 
 def _lost(header: Header) -> list[str]:
-    """Which measurements are in no figure, in a sentence each."""
+    """Which measurements no figure includes, one sentence each."""
     lines = []
     if header.not_fired:
         count = header.not_fired
@@ -184,7 +184,7 @@ def _lost(header: Header) -> list[str]:
 
 
 def remarks_of(header: Header) -> list[str]:
-    """Why fewer were measured than asked for, and what the file does not tell or told wrongly, a sentence each."""
+    """Why fewer were measured than asked for, and what the file lacks or stated wrongly, one sentence each."""
     return [f"incomplete: {header.incomplete}"] * (header.incomplete is not None) + list(header.remarks)
 
 
@@ -216,7 +216,7 @@ def _notes(run: "ClosedRun") -> list[str]:
 
 
 def _not_kept(run: "ClosedRun") -> list[str]:
-    """The rates that the programs of a run did not keep to, a sentence each."""
+    """The rates that the programs of a run missed, one sentence each."""
     rates = run.record.rates.items() if run.record.status == "ok" else ()
     return [
         f"{run.record.run}: {name}: {rate.words}"

@@ -10,7 +10,7 @@ from rtrun.report.tables import Table
 
 
 def hop_table(measured: Sequence[MeasuredTopology]) -> Table:
-    """A row for each topic at each node that takes it: what became of every message that was sent."""
+    """A row for each topic at each node that receives it: what became of every message that was sent."""
     hops = [(of.label, hop) for of in measured for hop in of.hops]
     lost = sum(sum(hop.lost.values()) for _, hop in hops)
     return Table(
@@ -42,7 +42,7 @@ def hop_table(measured: Sequence[MeasuredTopology]) -> Table:
 
 
 def bound_table(measured: Sequence[MeasuredTopology]) -> Table:
-    """A row for each node with a period: what was measured beside what response-time analysis allows."""
+    """A row for each node with a period: the measured times next to the bounds of response-time analysis."""
     bounds = [(of.label, each) for of in measured for each in response_bounds(of)]
     with_bound = [each for _, each in bounds if each.bound_ns is not None]
     above = [each for each in with_bound if each.broken]

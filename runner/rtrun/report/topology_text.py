@@ -1,4 +1,4 @@
-"""A topology in plain text: the graph, its nodes, and what they ask of the CPUs, before anything was measured."""
+"""A topology in plain text: the graph, its nodes, and the CPU time they need, before anything was measured."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,7 +15,7 @@ _SHOWN = 12
 
 
 def topology_lines(plan: TopologyPlan, remarks: Sequence[str] = ()) -> Iterator[str]:
-    """The lines; `remarks` say what of a file of others has no counterpart."""
+    """The lines; `remarks` name what in another tool's file has no counterpart here."""
     topology = plan.topology
     yield (
         f"topology {topology.name}: {counted(len(topology.nodes), 'node')} in "
@@ -52,7 +52,7 @@ def drawing(topology: Topology) -> Iterator[str]:
 
 
 def _way(topology: Topology, node: TopologyNode, topic: str, taker: TopologyNode, started: set[str]) -> Iterator[str]:
-    """A node, then arrow and node in turn."""
+    """A node, then arrows and nodes in turn."""
     yield node.name
     while True:
         yield f"─{topic}→ {taker.name}"
@@ -62,7 +62,7 @@ def _way(topology: Topology, node: TopologyNode, topic: str, taker: TopologyNode
             for next_taker in topology.takers[next_topic]
             if (arrow := f"{taker.name} {next_topic} {next_taker.name}") not in started
         )
-        # Who was drawn already goes on there: a line then ends with its name.
+        # A node that was drawn already continues there: a line that reaches it ends with its name.
         step = next(onwards, None)
         if step is None:
             return
@@ -71,7 +71,7 @@ def _way(topology: Topology, node: TopologyNode, topic: str, taker: TopologyNode
 
 
 def _folded(words: Iterator[str]) -> Iterator[str]:
-    """Words in lines that are not too wide, those after the first indented."""
+    """Words in lines of limited width; lines after the first are indented."""
     line = next(words)
     for word in words:
         if len(line) + 1 + len(word) > PLAIN_WIDTH:
@@ -139,7 +139,7 @@ def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 
 def _paths(plan: TopologyPlan) -> Iterator[str]:
-    """The paths, and the deadlines of each; then those of what is no path."""
+    """The paths with their deadlines; then deadlines that belong to no path."""
     number = len(plan.topology.all_paths())
     if not plan.paths:
         yield "no path is measured: no source leads to a sink; name one under paths"

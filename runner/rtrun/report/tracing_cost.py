@@ -1,4 +1,4 @@
-"""What tracing costs: traced runs compared with their untraced twins, which were measured in turn with them."""
+"""What tracing costs: traced runs compared with their untraced twins, measured alternately."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -23,9 +23,9 @@ from rtrun.results.record import RunRecord, RunStatus, read_record
 
 
 def thresholds(records: Sequence[RunRecord], of: Measure | None) -> Iterator[str]:
-    """Which traces are of another series than `of` (None: any will do); and the limits that warm-ups found.
+    """Which traces belong to another series than `of` (None: any series), and the limits that warm-ups found.
 
-    A sentence for each other series, and for each quantile that a campaign asks for.
+    One sentence for each other series, and one for each quantile that a campaign asks for.
     """
     kept = [one for one in records if one.parameters.get(PARAMETER) is not None and of in measures(one.suite)]
     series = Counter(traced_series(one.suite, one.parameters) for one in kept)

@@ -10,7 +10,7 @@ from rtrun.report.tables import Table
 
 
 def worst_cases(study: Study) -> Table:
-    """The bounds of each group; without rows where none may be given."""
+    """The bounds of each group; without rows where no bound may be given."""
     rows: list[tuple[str, ...]] = []
     for group in study.groups if _given_bounds(study) else ():
         if group.no_bound:
@@ -46,7 +46,7 @@ def _given_bounds(study: Study) -> list[tuple[float, Group]]:
 
 
 def _bounds_outcome(study: Study) -> str:
-    """In how many scenarios a bound may be given, and the highest one."""
+    """In how many scenarios a bound may be given, and the highest bound."""
     given = _given_bounds(study)
     highest_ns, label = max(((high_ns, group.label) for high_ns, group in given), default=(0.0, ""))
     scenarios = len({group.key for _, group in given})

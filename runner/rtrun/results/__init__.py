@@ -1,1 +1,1 @@
-"""What a run leaves: the run directory, its closing record, the files of the programs, and their readers."""
+"""What a run leaves behind: the run directory, its closing record, the programs' files, and their readers."""

@@ -1,4 +1,4 @@
-"""Columns of values that may be longer than the memory: they are made and read some rows at a time."""
+"""Columns of values that may not fit into memory: they are written and read a piece at a time."""
 
 import contextlib
 import mmap
@@ -13,16 +13,16 @@ from rtfiles.errors import InfrastructureError
 from rtrun.kinds.values import Int64s
 
 PIECE_ROWS = 2**16
-"""What is in memory at one time."""
+"""How many rows are in memory at a time."""
 
 
 class NoRoom(InfrastructureError):
-    """There are more values than may be kept, or the disk does not take them. Those before are kept."""
+    """There are more values than may be kept, or the disk is full. The values before are kept."""
 
 
 @contextlib.contextmanager
 def kept_in(folder: Path | None) -> Iterator[None]:
-    """Turn what the system says of a file in a folder into NoRoom."""
+    """Turn a system error about a file in `folder` into NoRoom."""
     try:
         yield
     except OSError as error:
@@ -31,9 +31,9 @@ def kept_in(folder: Path | None) -> Iterator[None]:
 
 
 def collected(folder: Path | None, pieces: Iterable[tuple[Int64s, ...]], count: int) -> tuple[Int64s, ...]:
-    """So many columns from pieces of them, each int64 (n,); long ones are in files without names in the folder.
+    """Join pieces into `count` columns, each int64 (n,); long columns are kept in unnamed files in `folder`.
 
-    Raises NoRoom where the disk does not take them.
+    Raises NoRoom where the disk is full.
     """
     made = [_ColumnFile(folder) for _ in range(count)]
     with kept_in(folder):
@@ -44,7 +44,7 @@ def collected(folder: Path | None, pieces: Iterable[tuple[Int64s, ...]], count: 
 
 
 class _ColumnFile:
-    """A column that is made of pieces."""
+    """A column that is built from pieces."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
@@ -70,7 +70,7 @@ class _ColumnFile:
 
 
 def pieces(*columns: Int64s) -> Iterator[tuple[Int64s, ...]]:
-    """Columns of one length, some rows at a time; what is read of long ones does not stay in memory."""
+    """Yield columns of equal length piece by piece; pieces of mapped columns do not stay in memory."""
     for begin in range(0, columns[0].size, PIECE_ROWS):
         yield tuple(column[begin : begin + PIECE_ROWS] for column in columns)
         for column in columns:

@@ -1,4 +1,4 @@
-"""How much of the time that an observation was asked for it has seen, and what it missed."""
+"""How much of the requested time an observation covered, and what it missed."""
 
 from collections.abc import Iterable
 from typing import Annotated
@@ -15,7 +15,7 @@ SpanNs = Annotated[int, Field(ge=0, le=TIME_MAX_NS)]
 
 
 class CoverageGap(Config):
-    """A time in which nothing, or not everything, was seen, in ns of CLOCK_MONOTONIC, and why."""
+    """A time in which nothing, or not everything, was seen, and why; in ns of CLOCK_MONOTONIC."""
 
     begin_ns: SpanNs
     end_ns: SpanNs
@@ -23,10 +23,10 @@ class CoverageGap(Config):
 
 
 class Coverage(Config):
-    """The time that was asked for, and what of it was seen; times in ns, moments of CLOCK_MONOTONIC.
+    """The requested time, and how much of it was seen; times in ns, moments of CLOCK_MONOTONIC.
 
-    What is asked for begins at `begin_ns`, with the probes. `gaps` lie within it, in the order of their begins; those
-    of two causes may overlap. `seen_ns` is what no gap covers.
+    The requested time begins at `begin_ns`, with the probes. `gaps` lie within it, sorted by their begin; gaps with
+    different causes may overlap. `seen_ns` is the time that no gap covers.
     """
 
     begin_ns: SpanNs
@@ -36,7 +36,7 @@ class Coverage(Config):
 
     @property
     def in_words(self) -> str:
-        """How much was seen, and why no more; empty where all of it was."""
+        """How much was seen, and why not everything; empty where everything was."""
         if not self.gaps:
             return ""
         causes = [
@@ -49,7 +49,7 @@ class Coverage(Config):
 
 
 def coverage(*, begin_ns: int, until_ns: int, asked_ns: int, gaps: Iterable[Gap]) -> Coverage:
-    """What was seen from `begin_ns` to `until_ns` of the time that was asked for, but for the gaps."""
+    """What was seen of the requested time: from `begin_ns` to `until_ns`, except for the gaps."""
     end_ns = begin_ns + asked_ns
     missed = [*gaps, Gap(max(until_ns, begin_ns), end_ns, "", GapCause.ENDED_EARLY)]
     within = (

@@ -1,8 +1,9 @@
-"""The lines of a gnuplot log, taken apart: what stands in them, not yet what it means (see gnuplot_log).
+"""The lines of a gnuplot log, taken apart but not yet interpreted (see gnuplot_log).
 
-The file is untrusted: its size and its lines' are limited, and memory goes by the bins that hold something, not by the
-range of the values. Anything that cannot stand in such a log is refused with ``file:line: what must stand here``: so no
-command gets through that gnuplot would execute for somebody else (``system``, backquotes, a pipe as output).
+The file is untrusted: its size and the length of its lines are limited, and memory grows with the number of bins that
+are not empty, not with the range of the values. A line that does not belong in such a log is refused with
+``file:line: what must stand here``. So no command gets through that gnuplot would execute (``system``, backquotes, a
+pipe as output).
 """
 
 import os
@@ -23,9 +24,9 @@ from rtrun.kinds.messages import LATENCY
 
 MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
 MAX_LINE_BYTES = 1 << 20
-MAX_BINS = 2_000_000  # that hold something: those of values up to 2 s
+MAX_BINS = 2_000_000  # not empty: enough for values up to 2 s
 
-# In double quotes gnuplot executes what stands between backquotes.
+# Within double quotes, gnuplot executes text between backquotes.
 _WORDS = r"[^\"`\\\x00-\x1f\x7f]*"
 _OUTPUT = re.compile(rf'set output "(?!\|)({_WORDS})\.jpg"')
 _COMMANDS = re.compile(
@@ -55,7 +56,7 @@ COUNTS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Printed:
-    """A summary as it stands in the log, in microseconds, uncorrected; `line` is where."""
+    """A summary as the log prints it, in microseconds, uncorrected; `line` is where it stands."""
 
     min_us: float
     avg_us: float
@@ -65,17 +66,17 @@ class Printed:
 
 @dataclass(kw_only=True, slots=True)
 class Text:
-    """What stands in the lines, not yet interpreted. `counts` hold (number, line)."""
+    """The content of the lines, not yet interpreted. `counts` hold (number, line)."""
 
     suite: str = ""
     output: str = ""
-    incomplete: tuple[int, str] | None = None  # how many were measured, and why no more
-    summaries: dict[str, Printed] = field(default_factory=dict)  # by series, "" for one without a label
+    incomplete: tuple[int, str] | None = None  # how many were measured, and why not all
+    summaries: dict[str, Printed] = field(default_factory=dict)  # by series, "" for a summary without a label
     counts: dict[str, tuple[int, int]] = field(default_factory=dict)
     lists: dict[str, tuple[IndexedValue, ...]] = field(default_factory=dict)
     values: "array[int]" = field(default_factory=lambda: array("q"))
     numbers: "array[int]" = field(default_factory=lambda: array("q"))
-    last: dict[str, int] = field(default_factory=dict)  # the last bin, by what stands in front of it: "" or "#"
+    last: dict[str, int] = field(default_factory=dict)  # the last bin, by the mark in front of it: "" or "#"
     lines: int = 0
 
 
@@ -154,7 +155,7 @@ def _read_command(lines: _Lines, text: Text, line: str) -> None:
 
 
 def check_commands(path: Path) -> None:
-    """Refuse a log that gnuplot cannot be trusted with: other commands than a suite writes, or another picture.
+    """Refuse a log that is not safe for gnuplot: one with commands that no suite writes, or with another output.
 
     Raises UsageError ``file[:line]: what is wrong``.
     """
@@ -182,7 +183,7 @@ def _read_comment(lines: _Lines, text: Text, line: str) -> None:
         text.incomplete = (int(match[1]), match[2])
     for mark, name in _LISTS.items():
         if line.startswith(mark):
-            # The first piece is the explanation in front of the first bar.
+            # The first piece is the explanation before the first bar.
             entries = [_ENTRY.fullmatch(piece) for piece in line.split("|")]
             text.lists[name] = tuple(
                 IndexedValue(value_ns=round(float(e[1]) * 1000), index=int(e[2])) for e in entries if e
@@ -207,7 +208,7 @@ def _read_bin(lines: _Lines, text: Text, line: str) -> None:
 
 
 def _read_plain_bins(lines: _Lines, text: Text) -> None:
-    """Read the plain bins that follow, many at a time, up to the first line that is none or that must be refused."""
+    """Read the plain bins that follow, many at a time, up to the first line that is not a bin or must be refused."""
     while match := _PLAIN_BINS.match(piece := lines.stream.read(_PLAIN_BYTES)):
         values, numbers = np.fromstring(match[0], np.int64, sep=" ").reshape(-1, 2).T
         filled = np.flatnonzero(numbers)

@@ -1,9 +1,9 @@
 """Reader of the gnuplot logs that the suites write, today's and those of 2014.
 
-A log is a histogram in bins of 1 us below a summary in comments. It is untrusted: a file that is not such a log, is cut
-off, or contradicts itself (counts that do not add up to the summary's number, another minimum, mean or maximum than the
-summary's) is refused with ``file:line: what is wrong``. What a log of 2014 is known to get wrong is put right, and each
-correction is told in `Log.remarks`.
+A log is a histogram in bins of 1 us below a summary in comments. It is untrusted. A file is refused with
+``file:line: what is wrong`` when it is not such a log, is cut off, or contradicts itself (counts that do not add up to
+the number in the summary, or another minimum, mean or maximum than the summary). Known errors in logs of 2014 are
+corrected; `Log.remarks` lists each correction.
 """
 
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ from rtrun.plan.suites import LogFacts, Value, read_log_name
 from rtrun.results.gnuplot_lines import COUNTS, Printed, Text, read_text
 
 TOLERANCE_US = 1  # between a printed number, however it was rounded, and the bins
-MEAN_TOLERANCE_US = 2  # as the mean's own rounding comes on top
-# Logs count from after the timer was armed, as in 2014.
-SENTINEL_US = -1  # what stood for a missing message in 2014
+MEAN_TOLERANCE_US = 2  # larger, because the mean itself is rounded too
+# Logs count from the arming of the timer, as in 2014.
+SENTINEL_US = -1  # marked a missing message in 2014
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Log:
-    """A log as read: the bins that hold something, rising, `value_us` and `count` of shape (bins,).
+    """A log as read: its bins that are not empty, ascending; `value_us` and `count` have shape (bins,).
 
-    `series` is measured_2014, reported, difference_2014, jitter or latency. `parameters` are those that the log's name
-    tells, none if the name is foreign. `printed` is None when the log has no measurement.
+    `series` is measured_2014, reported, difference_2014, jitter or latency. `parameters` come from the log's name; they
+    are empty if the name is foreign. `printed` is None when the log has no measurement.
     """
 
     path: Path
@@ -72,8 +72,9 @@ def _interpret(path: Path, text: Text) -> Log:
         remarks.append(f"{padding} entries that pad the lists of top and lowest values, as in 2014, are left out")
     is_missing = value_us == SENTINEL_US
     sentinels = int(count[is_missing].sum()) if LOGS[text.suite].missing_as_value else 0
-    # In 2014 a missing message stood among the values, and a timer that did not fire was repeated: the bins then hold
-    # as many as were asked for. The missing messages were told only if no value was below theirs.
+    # In 2014 a missing message was stored among the values, and a timer that did not fire was repeated, so the bins
+    # hold as many values as were asked for. The missing messages were reported only if no value was lower than their
+    # marker.
     if total == asked and sentinels and number["missing"]:
         if number["missing"] != sentinels:
             line = text.counts["missing"][1]
@@ -94,7 +95,7 @@ def _interpret(path: Path, text: Text) -> Log:
     if sentinels and bool((value_us < SENTINEL_US).any()):
         remarks.append(f"if this log is of 2014, {sentinels} of its values, those of -1 us, are missing messages")
     if series in ("reported", "difference_2014"):
-        lists = {}  # these logs print the lists of the measured values
+        lists = {}  # these logs list the measured values
     top = _of_these_bins("top", lists.get("top", ()), value_us[::-1], count[::-1], remarks)
     lowest = _of_these_bins("lowest", lists.get("lowest", ()), value_us, count, remarks)
     return Log(
@@ -119,7 +120,7 @@ def _series(suite: str, name: LogFacts | None) -> str:
 
 
 def _bins(path: Path, text: Text) -> tuple[Int64s, Int64s]:
-    """Values, rising, and counts of the bins."""
+    """Values, ascending, and counts of the bins."""
     value_us, count = np.array(text.values, dtype=np.int64), np.array(text.numbers, dtype=np.int64)
     order = np.argsort(value_us)
     value_us, count = value_us[order], count[order]
@@ -131,7 +132,7 @@ def _bins(path: Path, text: Text) -> tuple[Int64s, Int64s]:
 
 
 def _check_summaries(path: Path, text: Text, series: str, value_us: Int64s, count: Int64s) -> None:
-    """Refuse a log whose summary was not made from its bins."""
+    """Refuse a log whose summary does not match its bins."""
     if not count.size:
         return
     summaries = [text.summaries[key] for key in ("xlabel", series) if key in text.summaries]
@@ -152,10 +153,10 @@ def _check_summaries(path: Path, text: Text, series: str, value_us: Int64s, coun
 
 
 def _without_padding(entries: tuple[IndexedValue, ...]) -> tuple[IndexedValue, ...]:
-    """The list without an entry whose index stood in it before.
+    """The list without entries whose index occurred in it before.
 
-    In 2014 a list that did not fill was padded with the opposite bound and index 0. If index 0 is not in the list
-    otherwise, its value is that bound: the values beyond the bound would all have found a place.
+    In 2014 a list that was not full was padded with the opposite bound and index 0. If index 0 is nowhere else in the
+    list, its value is that bound: every value beyond the bound would have found a place.
     """
     first = {entry.index: entry for entry in reversed(entries)}
     return tuple(entry for entry in entries if first[entry.index] is entry)
@@ -164,7 +165,7 @@ def _without_padding(entries: tuple[IndexedValue, ...]) -> tuple[IndexedValue, .
 def _of_these_bins(
     which: str, entries: tuple[IndexedValue, ...], value_us: Int64s, count: Int64s, remarks: list[str]
 ) -> tuple[IndexedValue, ...]:
-    """The list, with the values of the bins, if it is one of these bins, which come in its order."""
+    """The list with the values of the bins, if it matches their order; an empty list, and a remark, otherwise."""
     values = np.repeat(value_us[:LISTED], np.minimum(count[:LISTED], LISTED))[: len(entries)] * 1000
     if len(values) == len(entries) and all(
         abs(entry.value_ns - int(value)) <= TOLERANCE_US * 1000 for entry, value in zip(entries, values, strict=True)

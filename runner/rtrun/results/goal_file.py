@@ -1,4 +1,4 @@
-"""The goal that a folder of runs was measured for, beside them: who asks later need not repeat the question."""
+"""The goal that a folder of runs was measured for, kept next to them, so that later questions need not repeat it."""
 
 import json
 from pathlib import Path
@@ -26,7 +26,7 @@ class GoalFile(Config):
 def write_goal(results: Path, goal: Goal) -> None:
     """Write the goal of a campaign into its results folder.
 
-    Raises UsageError where runs are there that were measured for a goal which this one may not follow.
+    Raises UsageError where the folder has runs that were measured for a goal that this one must not follow.
     """
     before = read_goal(results)
     if before and not may_follow(before.question, goal.question) and any(map(is_closed, results.iterdir())):
@@ -52,6 +52,6 @@ def write_goal(results: Path, goal: Goal) -> None:
 
 
 def read_goal(results: Path) -> Goal | None:
-    """Read the goal of the runs in a folder; None when they had none. Raises UsageError for a damaged file."""
+    """Read the goal of the runs in a folder; None when they had no goal. Raises UsageError for a damaged file."""
     path = results / FILE
     return read_json(path, GoalFile).until if path.is_file() else None

@@ -1,4 +1,4 @@
-"""The journal of a campaign, a SQLite file in its results folder: by it a campaign is known again after a crash."""
+"""The journal of a campaign, a SQLite file in its results folder: with it a campaign is resumed after a crash."""
 
 import contextlib
 import fcntl
@@ -24,23 +24,23 @@ NAME = "journal.sqlite"
 SESSION = "session"
 GIVEN = "given to"
 KEPT = "kept as "
-"""Begins the reason of what a restart of the target cut off: the name of its folder follows."""
+"""Begins the reason of an attempt that a restart of the target cut off; the name of its folder follows."""
 _AT = "at place"
 _LOCK = ".lock"
-# Who only reads holds the lock for a moment.
+# A reader holds the lock only for a moment.
 _LOOKS, _LOOK_S = 5, 0.05
 _MEASURES = (RunState.LAUNCHING, RunState.MEASURING, RunState.OBSERVING, RunState.ENDED)
 _END = dict.fromkeys(_MEASURES, "begun and never closed") | {RunState.CUT_OFF: "cut off by a restart of the target"}
-# The last two are the words of older versions for the first.
+# The last two are what older versions wrote for the first.
 _UNRELATED = (GivenUp.INTERRUPTED, GivenUp.NOT_MEASURED, "KeyboardInterrupt", "rtrun was interrupted")
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS campaign (uid TEXT NOT NULL, name TEXT NOT NULL, plan TEXT NOT NULL, target TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS event (time TEXT NOT NULL, run TEXT NOT NULL, what TEXT NOT NULL, reason TEXT);
 """
-# It becomes the name of a folder that is removed on the target: a name and nothing else.
+# It becomes the name of a folder that is removed on the target, so it must be a plain name.
 _UID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,200}-[0-9a-f]{8}", re.ASCII)
-# So does that of a run: what a file system takes, in a line, and nothing that leads out of a folder.
+# A run's name also becomes such a folder: one line that a file system takes and that leads out of no folder.
 _RUN = re.compile(r"(?![.])[^/\0\n]{1,255}")
 _REMEDY = (
     "the journal is damaged: give another folder with --results, or --fresh; the runs that are there stay readable"
@@ -56,12 +56,12 @@ class Journal:
     uid: str
     plan: str
     targets: tuple[str, ...]
-    """The names of the targets that it was measured on."""
+    """The names of the targets that the campaign was measured on."""
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def note(self, time: str, run: str, what: str, reason: str | None = None) -> None:
-        """Record the state that a run has come to (`RunState`), and why. Raises InfrastructureError."""
-        # SQLite takes no half of a character.
+        """Record the new state of a run (`RunState`), and the reason for it. Raises InfrastructureError."""
+        # SQLite does not store lone surrogates.
         reason = None if reason is None else reason.encode("utf-8", "backslashreplace").decode("utf-8")
         self._write("INSERT INTO event VALUES (?, ?, ?, ?)", (time, run, what, reason))
 
@@ -70,19 +70,19 @@ class Journal:
         self._write("INSERT INTO event VALUES (?, ?, ?, ?)", (time, "", SESSION, None))
 
     def give(self, time: str, run: str, target: str) -> None:
-        """Record which of several targets is to measure a run. Raises InfrastructureError."""
+        """Record which of several targets will measure a run. Raises InfrastructureError."""
         self.note(time, run, GIVEN, target)
 
     def note_place(self, time: str, target: str, place: str) -> None:
-        """Record which place of a farm a target is now. Raises InfrastructureError."""
+        """Record which place of a farm a target uses now. Raises InfrastructureError."""
         self.note(time, "", _AT, f"{target} {place}")
 
     def owners(self) -> dict[str, str]:
-        """The target that each run was given to which is not closed since, by the name of the run.
+        """The targets of the runs that are begun or given out and not closed since, by the name of the run.
 
         Raises UsageError when the journal is damaged.
         """
-        # Of a campaign on one target alone nothing was noted.
+        # A campaign on a single target records no owners.
         sole = self.targets[0] if len(self.targets) == 1 else ""
         given: dict[str, str] = {}
         owners: dict[str, str] = {}
@@ -96,14 +96,14 @@ class Journal:
         return owners
 
     def begun(self) -> set[str]:
-        """The names of the runs of which something was done, on whatever target. Raises UsageError when damaged."""
+        """The names of the runs that the journal mentions, on any target. Raises UsageError when it is damaged."""
         names = {str(name) for (name,) in self._read("SELECT DISTINCT run FROM event WHERE run != ''")}
         if wrong := next((name for name in names if not _RUN.fullmatch(name)), None):
             raise UsageError(f"{self.path}: {wrong[:80]!r} is no name of a run: {_REMEDY}")
         return names
 
     def add_targets(self, names: Collection[str]) -> "Journal":
-        """Record that these targets take part; return the journal that says so. Raises InfrastructureError."""
+        """Record that these targets take part; return the journal that includes them. Raises InfrastructureError."""
         if set(names) <= set(self.targets):
             return self
         targets = tuple(dict.fromkeys((*self.targets, *names)))
@@ -111,9 +111,9 @@ class Journal:
         return replace(self, targets=targets)
 
     def spent_s(self, now: datetime | None) -> float:
-        """The time, in seconds, that runners have worked on the campaign until now; pauses between them do not count.
+        """How long runners have worked on the campaign until `now`, in seconds, without the pauses between them.
 
-        None for `now`: no runner is at work. Raises UsageError when the journal is damaged.
+        `now` is None when no runner is at work. Raises UsageError when the journal is damaged.
         """
         spent_s = 0.0
         before: datetime | None = None
@@ -149,7 +149,7 @@ class Journal:
 
 
 def _events(folder: Path) -> list[tuple[Any, Any, Any]] | None:
-    """Run, state and reason of all events, read without a lock; None where there is no journal that can be read."""
+    """Run, state and reason of all events, read without a lock; None without a readable journal."""
     path = folder / NAME
     if not path.is_file():
         return None
@@ -157,11 +157,11 @@ def _events(folder: Path) -> list[tuple[Any, Any, Any]] | None:
         with contextlib.closing(sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro", uri=True)) as database:
             return database.execute("SELECT run, what, reason FROM event ORDER BY rowid").fetchall()
     except sqlite3.Error:
-        return None  # whoever opens it to go on says what is wrong
+        return None  # opening it to resume the campaign reports what is wrong
 
 
 def place_of_begun(folder: Path, target: str) -> str | None:
-    """The place of a farm where a target was last, if a run was begun there and not closed; None where nobody knows."""
+    """The last place of a target in a farm, if a run was begun there and not closed; None where it is not known."""
     rows = _events(folder)
     place: str | None = None
     begun: set[str] = set()
@@ -177,21 +177,21 @@ def place_of_begun(folder: Path, target: str) -> str | None:
 
 @dataclass(slots=True, kw_only=True)
 class RunAttempts:
-    """What the journal says of the attempts at one run that began to measure."""
+    """What the journal records about the attempts at one run that began to measure."""
 
     closed: int = 0
     kept: int = 0
-    """Cut off by a restart of the target, and kept as incomplete."""
+    """Attempts that a restart of the target cut off, kept as incomplete."""
     given_up: list[str] = field(default_factory=list)
-    """Why each was ended that took longer than it may."""
+    """The reasons of attempts that were ended because they took too long."""
     _open: RunState | None = None
-    """How the last one stands, where it was begun and is not closed."""
+    """The state of the last attempt, if it was begun and is not closed."""
     _is_given_up: bool = False
-    """Whether the last one stands in `given_up`."""
+    """Whether the last attempt is in `given_up`."""
     _never_closed: list[str] = field(default_factory=list)
 
     def never_closed(self, *, goes_on: bool) -> list[str]:
-        """What is known of each of which nobody knows how it would have ended; the last one may still go on."""
+        """A reason for each attempt with an unknown outcome, without the last one if it may still go on."""
         return self._never_closed if goes_on or self._open is None else [*self._never_closed, _END[self._open]]
 
     def follow(self, what: str, reason: str) -> None:
@@ -201,14 +201,14 @@ class RunAttempts:
             self._is_given_up = False
         elif what in _MEASURES:
             if self._is_given_up and what == RunState.MEASURING:
-                # Nobody had ended it, and it is picked up.
+                # It had not been stopped, and is resumed.
                 del self.given_up[-1]
             self._is_given_up = False
             self._open = RunState(what)
         elif what == RunState.CUT_OFF:
             self._open = self._open and RunState.CUT_OFF
         elif what == RunState.CLOSED and reason.startswith(tuple(RunStatus)):
-            # With another reason it is a restart of the target after that, which leaves it closed as it is.
+            # Any other reason is a later restart of the target, which leaves the closed run as it is.
             self.closed, self._open = self.closed + 1, None
         elif what == RunState.PLANNED and reason.startswith(KEPT):
             self.kept, self._open = self.kept + 1, None
@@ -218,7 +218,7 @@ class RunAttempts:
     def _give_up(self, reason: str) -> None:
         if reason.startswith(GivenUp.LEFT) or self._open == RunState.CUT_OFF:
             self._end()
-        # Who observes and is ended by an error has seen nothing: what was seen is closed.
+        # An observation that ends with an error has seen nothing: otherwise it would have been closed.
         if self._open not in (None, RunState.OBSERVING) and not reason.startswith(_UNRELATED):
             self.given_up.append(reason)
             self._is_given_up = True
@@ -229,7 +229,7 @@ class RunAttempts:
 
 
 def attempts(folder: Path) -> dict[str, RunAttempts] | None:
-    """What was attempted at each run, by the journal of a results folder; None without one that can be read."""
+    """The attempts at each run, from the journal in a results folder; None without a readable journal."""
     rows = _events(folder)
     if rows is None:
         return None
@@ -244,11 +244,11 @@ def attempts(folder: Path) -> dict[str, RunAttempts] | None:
 def at_work(folder: Path) -> Iterator[None]:
     """Keep a second runner away from these results; the lock ends with the process, however that ends.
 
-    Raises UsageError where another one is at work, or the file of the lock cannot be used.
+    Raises UsageError where another runner is at work, or the lock file cannot be used.
     """
     path = folder / _LOCK
     try:
-        # Not through a link, and nothing is written: the file may be somebody else's.
+        # Do not follow a link, and write nothing: the file may belong to somebody else.
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o644)
     except OSError as error:
         raise UsageError(f"{path}: cannot be locked, remove it: {error.strerror}") from error
@@ -301,7 +301,7 @@ def open_journal(folder: Path, name: str, plan: str, *targets: str) -> Journal:
 
 def _read(path: Path, database: sqlite3.Connection, name: str, plan: str, target: str) -> Journal:
     database.execute("PRAGMA journal_mode=WAL")
-    # What is noted is there after a power cut: an attempt that is forgotten would not count.
+    # What is recorded must survive a power cut: a forgotten attempt would not be counted.
     database.execute("PRAGMA synchronous=FULL")
     with database:
         database.executescript(_TABLES)

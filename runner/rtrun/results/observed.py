@@ -1,4 +1,4 @@
-"""What was observed of programs that run already, written as the output of a suite: ``<output>.npy`` and ``.json``."""
+"""Observations of programs that run already, written like the output of a suite: ``<output>.npy`` and ``.json``."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +23,7 @@ GRAPH = "graph.json"
 
 
 class PlacedEvent(Config):
-    """A probe that was placed: what it sees, in which library."""
+    """A probe that was placed: what it sees, and in which library."""
 
     event: str
     path: str
@@ -36,7 +36,7 @@ class RefusedEvent(PlacedEvent):
 
 
 class Graph(Config):
-    """graph.json of an observation: its probes; what is missing in it, and what threatens real time, a line each."""
+    """graph.json of an observation: its probes, and a line for each thing that is missing or threatens real time."""
 
     schema_number: Literal[1] = Field(alias="schema")
     placed: list[PlacedEvent]
@@ -51,7 +51,7 @@ def write_graph(folder: Path, graph: Graph) -> None:
 
 
 def remarks_of(folders: Iterable[Path]) -> tuple[str, ...]:
-    """What the observations in these run directories say is missing in them, and what threatens real time, each once.
+    """What is missing in the observations of these run directories, and what threatens real time, each once.
 
     Raises UsageError for a damaged file.
     """
@@ -70,7 +70,7 @@ def remarks_of(folders: Iterable[Path]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TracedValue:
-    """A value above a limit, by its index in the samples, when and to which thread it came, and the kernel's trace."""
+    """A value above a limit: its index in the samples, its time and thread, and the kernel's trace."""
 
     index: int
     value_ns: int
@@ -84,9 +84,9 @@ class TracedValue:
 class ObservedOutput:
     """One thing that was observed: a pair of publisher and subscriber, a timer, a callback, a topic, a path of topics.
 
-    `suite` is that of its kind, which names the `columns`, each int64 of shape (rows,). `parameters` tell it
-    from every other stream of the target. `asked` is how many of its values should be there, as far as that is known,
-    `measured` how many are, `missing` how many never came.
+    `suite` is the suite of its kind, which names the `columns`, each int64 of shape (rows,). `parameters` distinguish
+    it from every other stream of the target. `asked` is how many values there should be, as far as that is known;
+    `measured` is how many there are, and `missing` how many never came.
     """
 
     suite: str
@@ -100,7 +100,7 @@ class ObservedOutput:
     rate_hz: float | None = None
     clock_step_ns: int = 1
     above_limit: int = 0
-    """How many values were above the limit of traces; `limit_ns` is the last one, None: there was none."""
+    """How many values were above the trace limit; `limit_ns` is the last limit, None if there was none."""
     limit_ns: int | None = None
     traced: Sequence[TracedValue] = ()
     """The values whose trace was kept."""
@@ -108,7 +108,7 @@ class ObservedOutput:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Provenance:
-    """What all streams of an observation share; the times are in ISO 8601."""
+    """What all streams of an observation share; times are in ISO 8601."""
 
     version: str
     host: str
@@ -120,9 +120,9 @@ class Provenance:
 def write_stream(
     folder: Path, output: str, stream: ObservedOutput, provenance: Provenance, threads: Sequence[Thread]
 ) -> None:
-    """Write the samples of a stream, its traces, and the json beside them.
+    """Write the samples of a stream, its traces, and the json next to them.
 
-    `threads` are those of the program that has the values: of messages the subscriber's.
+    `threads` are those of the program that has the values; for messages, the subscriber.
     """
     names = suite(stream.suite).columns
     _write_samples(folder / f"{output}.npy", [stream.columns[name] for name in names])
@@ -166,7 +166,7 @@ def write_stream(
 
 
 def _write_samples(path: Path, columns: Sequence[Int64s]) -> None:
-    """Write columns as the rows of an npy file, some at a time: there may be more than the memory holds."""
+    """Write columns as the rows of an npy file, in pieces: they may not fit into memory."""
     header = {"descr": "<i8", "fortran_order": False, "shape": (columns[0].size, len(columns))}
     with path.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, header)
@@ -175,7 +175,7 @@ def _write_samples(path: Path, columns: Sequence[Int64s]) -> None:
 
 
 def _write_traces(folder: Path, output: str, stream: ObservedOutput) -> list[str]:
-    """Write a file for each traced value, and return their names; those that share a trace name the first one's."""
+    """Write a file per trace and return the name for each value; values that share a trace share the file."""
     written: dict[StoredText, str] = {}
     names = []
     for one in stream.traced:

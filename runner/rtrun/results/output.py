@@ -10,15 +10,15 @@ from rtrun.kinds.rows import Stated
 from rtrun.plan.suites import Asked, Parameters
 from rtrun.results.rate import Rate
 
-# Each that is wrong is an error of its own.
+# A separate type for each, so that an error names the wrong one.
 LIST_MAX = 20_000
 _LISTED = Field(max_length=LIST_MAX)
-# Threads of a suite that have no part in the measurement: of normal scheduling, on spare CPUs, whatever was asked for.
+# Threads of a suite that do not take part in the measurement: always with normal scheduling, on spare CPUs.
 NON_MEASURING_THREADS = frozenset({"rt_blocks", "rt_traces"})
 
 
 class Thread(Config):
-    """A thread of the measuring program, as the kernel showed it."""
+    """A thread of the measuring program, as the kernel reports it."""
 
     tid: Pid
     name: str
@@ -35,15 +35,15 @@ class InEffect(Config):
     clock_resolution_ns: ClockStepNs
     clock_step_ns: ClockStepNs
     mlockall: bool | None
-    """None: not known, as of programs that ran already."""
+    """None: not known, for example for programs that ran already."""
     cpu_dma_latency_us: CpuDmaLatencyUs | None = None
     """The lowest latency that any program held in /dev/cpu_dma_latency, or the kernel's default; None: not known."""
     facts: dict[str, str] = Field(default_factory=dict)
-    """Of the middleware, as it says itself: versions, and parameters that are given by the environment."""
+    """What the middleware reports about itself: versions, and parameters that the environment sets."""
 
 
 class Uname(Config):
-    """The kernel measured on, as uname names it."""
+    """The kernel measured on, as uname reports it."""
 
     release: str
     version: str
@@ -62,17 +62,17 @@ class Counts(Config):
 
     @property
     def known(self) -> int:
-        """How many have an outcome."""
+        """How many measurements have an outcome."""
         return self.measured + self.not_fired + self.missing
 
     @property
     def loops(self) -> int:
-        """How often it did what it does."""
+        """How many times the program did its work: it measured."""
         return self.measured
 
 
 class Indices(Config):
-    """The indices of what each of the counts counts, the first 1000."""
+    """The first 1000 indices behind each count."""
 
     not_fired: Annotated[list[Count], _LISTED]
     missing: Annotated[list[Count], _LISTED]
@@ -81,7 +81,7 @@ class Indices(Config):
 
 
 class Entry(Config):
-    """One value of a list of the highest or lowest."""
+    """One entry of a list of the highest or lowest values."""
 
     value_ns: TimeNs
     index: Count
@@ -99,47 +99,47 @@ class Summary(Config):
 
 
 class Files(Config):
-    """Names of the files written beside the json."""
+    """Names of the files next to the json."""
 
     logs: list[str]
     npy: str
 
 
 class Traces(Config):
-    """Values above a limit that the kernel trace was asked for, and the traces that were kept."""
+    """Values above the trace limit, and the traces that were kept."""
 
     above_limit: Count
     files: list[str]
 
 
 class Costs(Config):
-    """What all threads of a program cost together while it measured."""
+    """What all threads of a program together cost while it measured."""
 
     minor_faults: Count
-    """Page faults without reading from a disk."""
+    """Page faults that read nothing from a disk."""
     major_faults: Count
     voluntary_switches: Count
     involuntary_switches: Count
     cpu_time_ns: CpuTimeNs
     allocations: Count | None = None
-    """Calls of malloc and its relatives; None: they were not counted."""
+    """Calls of malloc and its relatives; None: not counted."""
     frees: Count | None = None
     allocations_of_measuring_thread: Count | None = None
 
     @property
     def page_faults(self) -> int:
-        """Of both sorts."""
+        """Page faults of both kinds."""
         return self.minor_faults + self.major_faults
 
 
 class ProgramHead(Config):
-    """What the json of every program begins with: what was requested, and in effect."""
+    """What the json of every program begins with: what was requested, and what was in effect."""
 
     schema_number: Literal[1] = Field(alias="schema")
     suite: str
     program: str
     middleware: str = "roscpp"
-    """Through which it measured; that of 2014 where it does not say."""
+    """The middleware that it measured through; where the json names none, the one of 2014."""
     version: str
     complete: bool
     incomplete_reason: str | None
@@ -150,24 +150,24 @@ class ProgramHead(Config):
     start_time: str
     end_time: str
     costs: Costs | None = None
-    """None: nothing was measured, or it does not say."""
+    """None: nothing was measured, or the json does not state it."""
 
 
 class Record(ProgramHead):
-    """``<output>.json``, as docs/formats.md has it."""
+    """``<output>.json``, as docs/formats.md describes it."""
 
     counts: Counts
     indices: Indices
     summary: dict[str, Summary]
     files: Files
     columns: list[str]
-    """Of the npy, as in suites.yml."""
+    """The columns of the npy, as in suites.yml."""
     rate: Rate
     traces: Traces
 
     @property
     def stated(self) -> Stated:
-        """What its samples are checked against."""
+        """The values that its samples are checked against."""
         counts = self.counts
         return Stated(
             asked=counts.asked,
@@ -182,14 +182,14 @@ class Record(ProgramHead):
 
 
 class SentCounts(Config):
-    """How many messages were asked for, and sent."""
+    """How many messages were asked for, and how many were sent."""
 
     asked: Asked
     sent: Count
 
     @property
     def loops(self) -> int:
-        """How often it did what it does."""
+        """How many times the program did its work: it sent a message."""
         return self.sent
 
 
@@ -201,7 +201,7 @@ class SenderRecord(ProgramHead):
 
 
 class ExecutorRecord(Config):
-    """A thread of nodes: what was asked of it, when it stopped receiving; `foreign` messages came from elsewhere."""
+    """A thread of nodes: its settings, and when it stopped receiving; `foreign` messages came from elsewhere."""
 
     name: str
     policy: str
@@ -212,7 +212,7 @@ class ExecutorRecord(Config):
 
 
 class HostedNodeRecord(Config):
-    """A node: its activations, and points of its period that it skipped."""
+    """A node: its activations, and the points of its period that it skipped."""
 
     name: str
     activations: Count
@@ -220,7 +220,7 @@ class HostedNodeRecord(Config):
 
 
 class HostRecord(ProgramHead):
-    """``process-<name>.json``: a process of a topology; its nodes' tables are next to it."""
+    """``process-<name>.json``: a process of a topology; the tables of its nodes are next to it."""
 
     start_ns: TimeNs
     measured_ns: TimeNs

@@ -1,4 +1,4 @@
-"""Samples of a suite that was cut off: ``<output>.npy.part`` (see docs/formats.md) made readable."""
+"""Samples of a suite that was cut off: makes ``<output>.npy.part`` (see docs/formats.md) readable."""
 
 from pathlib import Path
 
@@ -11,10 +11,10 @@ MAX_COLUMNS = 99
 
 
 def salvage(part: Path) -> int | None:
-    """Turn a part into ``<output>.npy`` beside it with every row that is whole; return their number.
+    """Turn a part into ``<output>.npy`` next to it, with every complete row; return the number of rows.
 
-    None, and nothing changed, when it is no part or the samples are there already. There is no json: what was measured
-    is kept, and no reader of results takes it for a result.
+    Returns None, and changes nothing, when the file is not a part or the samples are there already. No json is written:
+    the measured values are kept, but no reader takes them for a result.
     """
     npy = part.with_suffix("")
     try:

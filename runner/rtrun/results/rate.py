@@ -1,17 +1,17 @@
-"""How often a program did what it was asked to do, and whether it kept to that."""
+"""How often a program did its work, and whether it kept to the rate that was asked for."""
 
 from rtfiles.config import Config
 from rtfiles.output import counted
 from rtrun.kinds.limits import Count, RateHz
 
-# A publisher that is further from the rate that was asked for measured something else.
+# A publisher that deviates more from the requested rate measured something else.
 OFF_MAX = 0.01
 
 
 class Rate(Config):
-    """The rate of a program in hertz, asked for and achieved, and how often it did not keep up; None if not periodic.
+    """The requested and the achieved rate of a program in hertz, and how often it was late; None if not periodic.
 
-    `overruns` came more than a period late, `skipped` are periods in which nothing came.
+    `overruns` came more than a period late; `skipped` are periods in which nothing came.
     """
 
     asked_hz: Count | None
@@ -21,12 +21,12 @@ class Rate(Config):
 
     @property
     def off(self) -> float:
-        """How far the achieved rate is from the one that was asked for, as a part of that; 0 where one is not known."""
+        """The deviation from the requested rate, as a fraction of it; 0 where one of the rates is not known."""
         return abs(self.achieved_hz / self.asked_hz - 1) if self.achieved_hz and self.asked_hz else 0.0
 
     @property
     def words(self) -> str:
-        """Both rates, and what was not kept."""
+        """Both rates, and how often the program was late."""
         achieved = "no rate" if self.achieved_hz is None else f"{self.achieved_hz:.7g} Hz"
         overruns = "" if self.overruns is None else f", {counted(self.overruns, 'overrun')}"
         skipped = "" if self.skipped is None else f", {counted(self.skipped, 'skipped period')}"
@@ -34,7 +34,7 @@ class Rate(Config):
 
 
 def is_missed(rate: Rate, sent: int) -> bool:
-    """Whether so many messages missed the rate asked for: by more than 1 %, and more than one period in all."""
+    """Whether `sent` messages missed the requested rate by more than 1 %, and by more than one period in all."""
     if not rate.achieved_hz or not rate.asked_hz:
         return False
     due = (sent - 1) / rate.achieved_hz * rate.asked_hz

@@ -1,6 +1,6 @@
-"""Results read back: from a run directory, from a folder of runs.
+"""Results read back, from a run directory or from a folder of runs.
 
-Whatever prints or judges results, terminal or report, takes them from here.
+Everything that prints or judges results, terminal or report, takes them from here.
 """
 
 import re
@@ -34,7 +34,7 @@ _CUT_OFF = re.compile(r"(.+)\.incomplete-[0-9]+")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ClosedRun:
-    """A closed run: its record, and the results of every output, none when the run failed or is invalid."""
+    """A closed run: its record, and the results of every output; no results when the run failed or is invalid."""
 
     folder: Path
     record: RunRecord
@@ -43,7 +43,7 @@ class ClosedRun:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Runs:
-    """The runs in a folder: those read, the names of those that are not closed, and why any other was refused."""
+    """The runs in a folder: those that were read, the names of open ones, and why the others were refused."""
 
     folder: Path
     runs: tuple[ClosedRun, ...]
@@ -59,11 +59,11 @@ def read_run(folder: Path) -> ClosedRun:
 
 
 def read_series(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Series]:
-    """Yield every series of every output of a run, whose files must be those that the record was closed with.
+    """Yield every series of every output of a run; the files must be those that the record was closed with.
 
-    An output is read from its samples, or, when it has none (the programs of 2014 write none), from its logs. `of` is
-    what the question names. Raises UsageError when a file is missing, altered or not what it should be, or has no such
-    series.
+    An output is read from its samples. If it has none (the programs of 2014 write none), it is read from its logs. `of`
+    is the measure that the question names. Raises UsageError when a file is missing, altered or malformed, or has no
+    such series.
     """
     for output in dict.fromkeys(record.outputs):
         for series in _series_of_output(folder, record, output, of):
@@ -108,17 +108,17 @@ def _series_of_output(folder: Path, record: RunRecord, output: str, of: Measure 
 
 
 def target_of(record: RunRecord) -> str:
-    """The target in a few words: runs on another board or kernel are never pooled with these."""
+    """The target in a few words: runs on different boards or kernels are never pooled."""
     facts = (record.target.name, record.target.kernel_release, record.target.kernel_version)
     return ", ".join(word for word in facts if isinstance(word, str) and word)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Source:
-    """What a path holds: closed runs and the names of others, or one file; then `folders` is empty.
+    """What a path holds: closed runs and the names of open ones; or one file, and then `folders` is empty.
 
-    ``repeated`` are incomplete attempts, cut off by a restart of the target, at runs that were closed later. ``old``
-    are closed attempts that were measured again.
+    ``repeated`` are attempts that a restart of the target cut off, at runs that were closed later. ``old`` are closed
+    attempts that were measured again.
     """
 
     path: Path
@@ -131,8 +131,8 @@ class Source:
 def find_source(path: Path) -> Source:
     """Find what is at a path: a file, a run directory, or a folder of runs.
 
-    What the runner put aside (``.<run>.partial``, ``<run>.old-<n>``, ``<run>.warm-up``) is left out. Raises UsageError
-    when there is neither a file nor a closed run, naming the folders below that hold some.
+    Folders that the runner put aside (``.<run>.partial``, ``<run>.old-<n>``, ``<run>.warm-up``) are left out. Raises
+    UsageError when there is neither a file nor a closed run, naming the folders below that hold some.
     """
     if path.is_file():
         return Source(path=path, folders=())
@@ -173,15 +173,15 @@ def read_runs(folder: Path) -> Runs:
 
 
 def find_copies(records: Mapping[Path, RunRecord]) -> dict[Path, str]:
-    """Which of these run directories hold what another one holds: each with a line that names both.
+    """Find run directories that hold the same as another: a line for each, naming both.
 
-    They have the same attempt, or the same samples, of which two measurements never make the same. Samples without a
-    measurement are alike in all runs, and so may histograms be.
+    They have the same attempt, or the same samples, because two measurements never give equal samples. Samples without
+    any measurement are alike in all runs, and histograms may be equal by chance.
     """
     holders: dict[tuple[str, str], list[Path]] = {}
     for folder, record in records.items():
         marks = [("attempt", record.attempt)] if record.attempt else []
-        # Two streams of one run may hold the same times, as two paths do that begin and end alike.
+        # Two streams of one run may hold the same times, for example two paths that begin and end alike.
         identity = f"{record.suite} {sorted(record.parameters.items())}" if record.subject == "attached" else ""
         marks += [
             (f"samples {identity}", file.sha256)

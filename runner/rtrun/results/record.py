@@ -1,4 +1,4 @@
-"""run.json, the closing record of a run directory (docs/formats.md): one type for who writes it and who reads it."""
+"""run.json, the closing record of a run directory (docs/formats.md): one type for its writers and readers."""
 
 import hashlib
 import os
@@ -46,15 +46,15 @@ from rtrun.targets.inspection.platform import Platform
 FILE = "run.json"
 
 UNKNOWN = "unknown"
-"""The time of an imported file."""
+"""The time of an imported file that does not state one."""
 
 
 def moment(text: str) -> datetime | None:
-    """A time of a record, in UTC; None for UNKNOWN. One without a zone is in UTC. Raises ValueError."""
+    """A time of a record, in UTC; None for UNKNOWN. A time without a zone is UTC. Raises ValueError."""
     if text == UNKNOWN:
         return None
     time = datetime.fromisoformat(text)
-    if not 1970 <= time.year < 2262:  # in nanoseconds since 1970, 64 bits hold these
+    if not 1970 <= time.year < 2262:  # the range of 64-bit nanoseconds since 1970
         raise ValueError(f"a time of the years 1970 to 2261 is needed, got {text[:40]!r}")
     return time.astimezone(UTC) if time.tzinfo else time.replace(tzinfo=UTC)
 
@@ -70,7 +70,7 @@ Moment = Annotated[str, Field(max_length=64), AfterValidator(_check_moment)]
 
 
 class RunStatus(StrEnum):
-    """What became of a run. INVALID: it ended well, but not as asked for, or its numbers do not add up."""
+    """The outcome of a run. INVALID: it ended well, but not as asked for, or its numbers do not add up."""
 
     OK = "ok"
     FAILED = "failed"
@@ -79,22 +79,22 @@ class RunStatus(StrEnum):
 
 
 class UnrelatedEnd(StrEnum):
-    """What ended a run before its time, and has nothing to do with how late anything was."""
+    """An early end of a run that had nothing to do with lateness."""
 
     INTERRUPTED = "interrupted"
     """By the user of the runner."""
     LINK_LOST = "link lost"
     DISK_FULL = "disk full"
     OTHER_SETUP = "other set-up"
-    """What ran was not what was asked for."""
+    """The wrong thing ran."""
 
 
 class ProgramRecord(Config):
-    """A program that ran; no exit status: it was killed, or it ran on.
+    """A program that ran; without exit status, it was killed or ran on.
 
-    `pid`, `threads` and `locked_bytes`, its locked memory, are those of a program that ran already. `control_groups`
-    are those that it was in, and those above them. `rate`, `costs` and `loops` are those of its json, None without one,
-    or where that does not tell them.
+    `pid`, `threads` and `locked_bytes` (locked memory) belong to a program that ran already. `control_groups` are those
+    that it was in, and their parents. `rate`, `costs` and `loops` come from its json; None where it has none, or where
+    the json does not state them.
     """
 
     name: str
@@ -118,7 +118,7 @@ class FileRecord(Config):
 
 
 class Clock(Config):
-    """The clock a run was measured with, as the kernel names it and what wakes its timers; `step_ns` may be unknown."""
+    """The clock of a run: its name in the kernel, and what wakes its timers; `step_ns` may be unknown."""
 
     source: Fact
     event: Fact
@@ -126,11 +126,11 @@ class Clock(Config):
 
 
 class TargetFacts(Config):
-    """The target at the begin of a run; of an imported file only the name is known."""
+    """The target at the begin of a run; for an imported file only the name is known."""
 
     name: str
     is_identified: bool = True
-    """False: it was imported, and its board is not set."""
+    """False: the run was imported, and its board is not set."""
     address: str = ""
     preempt_rt: bool | None = None
     cpus: CpuCount | None = None
@@ -143,29 +143,29 @@ class TargetFacts(Config):
     middleware_version: Fact = None
     """Of the middleware that the run measured through."""
     setup: Fact = None
-    """The shell file that set that up for the run."""
+    """The shell file that set up the middleware for the run."""
     suites_built_with: dict[str, str] = Field(default_factory=dict)
-    """Of suites that were built on the target: what they were built with, as docs/targets.md tells."""
+    """For suites built on the target: what they were built with, see docs/targets.md."""
     clock: Clock | None = None
 
 
 class Requested(Config):
-    """What a run asks for beside its suite's own parameters; None where it asks for nothing."""
+    """What a run asks for besides the parameters of its suite; None where it asks for nothing."""
 
     policy: str | None = None
     priority: Priority | None = None
     cpus: list[Cpu] | None = None
     loads: dict[str, Count] = Field(default_factory=dict)
-    """Processes of each program beside the suite."""
+    """Processes of each program next to the suite."""
     load_cpus: list[Cpu] | None = None
     governor: str | None = None
     busy_percent: Percent[int] | None = None
 
 
 class Rival(Config):
-    """A thread of another program with the priority of the suite or above; one at DEADLINE comes before every priority.
+    """A thread of another program with the suite's priority or above; DEADLINE comes before every priority.
 
-    The budget of such a thread, where it is known: `runtime_ns` in every `period_ns`.
+    Its budget, where it is known, is `runtime_ns` in every `period_ns`.
     """
 
     name: str
@@ -176,7 +176,7 @@ class Rival(Config):
 
 
 class Observed(Config):
-    """What was in effect while the suite measured: every value that was seen, of `loads` the fewest processes."""
+    """What was in effect while the suite measured: every value that was seen; for `loads`, the fewest processes."""
 
     policy: list[str] = Field(default_factory=list)
     priority: list[Priority] = Field(default_factory=list)
@@ -191,7 +191,7 @@ class Observed(Config):
     load_1min: Range[LoadAverage] | None = None
     rivals: list[Rival] = Field(default_factory=list)
     observations: Count = 0
-    """Observations while the suite measured."""
+    """How many observations were made while the suite measured."""
 
 
 class RunRecord(Config):
@@ -205,28 +205,28 @@ class RunRecord(Config):
     subject: Subject = "started"
     parameters: Parameters
     deadline_ns: TimeNs | None = None
-    """What it was measured for; None: nothing of its own."""
+    """What the run was measured for; None: nothing of its own."""
     condition: str = IDLE
     settings: Settings = Field(default_factory=dict)
     repeat: Count = 1
     seed: Seed | None = None
     variant: str = ""
-    """Of a campaign with variants: which of them this run is of."""
+    """In a campaign with variants: the variant of this run."""
     kernel: KernelName | None = None
-    """Of a campaign with kernels: which of them this run was measured on."""
+    """In a campaign with kernels: the kernel of this run."""
     trace: str = ""
-    """What the campaign asked traces for, as `Run.trace`; the threshold in effect is in the parameters."""
+    """The values that the campaign wants traced, as in `Run.trace`; the threshold in effect is in the parameters."""
     observed_by: str = ""
-    """Of a stream of what was observed: the run that observed it."""
+    """For a stream of an observation: the run that observed it."""
     coverage: Coverage | None = None
-    """Of an observation and its streams: how long it was asked for, and how long it has seen."""
+    """For an observation and its streams: how long it was asked to see, and how long it saw."""
     platform: Annotated[Platform, Field(strict=False)]
     platform_evidence: str
-    """How the platform is known."""
+    """How the platform was found out."""
     status: Annotated[RunStatus, Field(strict=False)]
     reason: str | None
     unrelated_end: Annotated[UnrelatedEnd | None, Field(strict=False)] = None
-    """None where its end may have had to do with lateness, and of a run that went to its end."""
+    """None where the end may be related to lateness, and for a run that went to its end."""
     requested: Requested = Field(default_factory=Requested)
     in_effect: Observed = Field(default_factory=Observed)
     start_time: Moment
@@ -234,45 +234,45 @@ class RunRecord(Config):
     programs: list[ProgramRecord] = Field(default_factory=list)
     outputs: list[Name]
     refused: dict[str, str] = Field(default_factory=dict)
-    """Files that were not taken from the target, name to reason."""
+    """Files that were not copied from the target, name to reason."""
     target: TargetFacts
     files: dict[Name, FileRecord]
 
     def asked(self, question: Question) -> Question | None:
-        """What is asked of it: the deadline is its own unless somebody named one; None: what is observed has none."""
+        """The question for this run, with its own deadline unless `question` names one; None: observed, no deadline."""
         if question.is_deadline_stated or (self.subject == "started" and self.deadline_ns is None):
             return question
         return replace(question, deadline_ns=self.deadline_ns) if self.deadline_ns else None
 
     @property
     def duration_s(self) -> float:
-        """The time from begin to end, in seconds; 0 where it is unknown, or the clock was set back in between."""
+        """The time from begin to end, in seconds; 0 where it is unknown, or if the clock was set back in between."""
         start, end = moment(self.start_time), moment(self.end_time)
         return max(0.0, (end - start).total_seconds()) if start and end else 0.0
 
     @property
     def rates(self) -> dict[str, Rate]:
-        """The rates of its programs that were asked for one, by name."""
+        """The rates of its programs that were asked for a rate, by name."""
         return {each.name: each.rate for each in self.programs if each.rate and each.rate.asked_hz}
 
     @property
     def is_off_rate(self) -> bool:
-        """Whether the run is invalid, and its publisher missed the rate that was asked for."""
+        """Whether the run is invalid, and its publisher missed the requested rate."""
         return self.status is RunStatus.INVALID and any(
             rate.off > OFF_MAX for name, rate in self.rates.items() if name in suite(self.suite).program_json
         )
 
     @property
     def preempt_rt(self) -> bool:
-        """Whether the kernel was PREEMPT_RT; true, too, where that is not known, as of an imported file."""
+        """Whether the kernel was PREEMPT_RT; also true where that is not known, as for an imported file."""
         return self.target.preempt_rt is not False
 
     @property
     def circumstances(self) -> dict[str, Value]:
-        """The parameters, and what was there beside the suite where there was something: runs of one are alike.
+        """The parameters, and what ran or was set besides the suite; runs with equal circumstances are alike.
 
-        Runs that keep the traces above one quantile are alike, though each has a threshold of its own. A suite measured
-        through its own middleware where none was named.
+        Runs that keep the traces above the same quantile are alike, even though each has its own threshold. Where no
+        middleware is named, the suite measured through its own.
         """
         condition: dict[str, Value] = {} if self.condition == IDLE else {"condition": self.condition}
         settings = {key: value for key, value in self.settings.items() if value not in (None, "")}
@@ -283,12 +283,12 @@ class RunRecord(Config):
         return parameters | condition | settings | {key: value for key, value in of_campaign.items() if value}
 
     def to_json(self) -> str:
-        """The text of run.json: what was set, without what is left at its default."""
+        """The text of run.json: what was set, without defaults."""
         return self.model_dump_json(by_alias=True, exclude_unset=True, indent=2) + "\n"
 
 
 def is_closed(folder: Path) -> bool:
-    """Whether a run directory has its closing record; without it, nothing in there may be analysed."""
+    """Whether a run directory has its closing record; without it, nothing in the directory may be analysed."""
     return (folder / FILE).is_file()
 
 
@@ -303,13 +303,13 @@ def read_record(folder: Path) -> RunRecord:
     return record
 
 
-# A file that was changed so recently may change once more within the same time stamp; that of FAT has 2 s.
+# A file changed so recently may change again within the same time stamp; FAT has a resolution of 2 s.
 SETTLED_NS = 3_000_000_000
 _digests: dict[tuple[int, ...], str] = {}
 
 
 def _digest(path: Path) -> tuple[int, str]:
-    """Size in bytes and SHA-256 of a file, which is read only once as long as it does not change."""
+    """Size in bytes and SHA-256 of a file; an unchanged file is read only once."""
     with path.open("rb") as stream:
         state = os.fstat(stream.fileno())
         key = (state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
@@ -320,7 +320,7 @@ def _digest(path: Path) -> tuple[int, str]:
 
 
 def check_file(folder: Path, record: RunRecord, name: str) -> None:
-    """Refuse a file that is not the one the record was closed with. Raises UsageError."""
+    """Refuse a file that is not the one that the record was closed with. Raises UsageError."""
     path = folder / name
     if name not in record.files:
         raise UsageError(f"{folder / FILE}: {name!r} is not among its files")
@@ -336,7 +336,7 @@ def check_file(folder: Path, record: RunRecord, name: str) -> None:
 
 
 def verify(folder: Path) -> RunRecord:
-    """Return the record of a run directory whose files are all those that it was closed with. Raises UsageError."""
+    """Return the record of a run directory if all files are those it was closed with. Raises UsageError."""
     record = read_record(folder)
     for name in record.files:
         check_file(folder, record, name)

@@ -1,6 +1,7 @@
 """Run directories: filled under a temporary name, closed by run.json, renamed into place (see docs/formats.md).
 
-Several may work in one folder of results. Whoever takes a name there that is free does so under the folder's lock.
+Several processes may work in one folder of results. A process that takes a free name there holds the lock of the
+folder.
 """
 
 import contextlib
@@ -16,14 +17,14 @@ from rtfiles import atomic, ownership
 from rtfiles.errors import InfrastructureError, UsageError
 from rtrun.results.record import FILE, FileRecord, RunRecord, read_record
 
-# In the folder that keeps a number: something was measured.
+# A file in the folder that keeps a number: something was measured.
 _BEGUN = "begun"
 
 
 def make_results(folder: Path) -> bool:
-    """Make the folder for the runs of a campaign, unless it is there. Whether this call made it.
+    """Make the folder for the runs of a campaign, unless it exists. Returns whether this call made it.
 
-    Raises UsageError where others could change what it holds, InfrastructureError where it cannot be made.
+    Raises UsageError where others could change its content, InfrastructureError where it cannot be made.
     """
     try:
         is_new = ownership.make_folder(folder)
@@ -35,7 +36,7 @@ def make_results(folder: Path) -> bool:
 
 
 def unused_results(folder: Path) -> Path:
-    """The folder, or the first of its name and a number that is not there."""
+    """The folder, or the first free name made of its name and a number."""
     if not folder.exists():
         return folder
     number = 2
@@ -47,13 +48,13 @@ def unused_results(folder: Path) -> Path:
 def make_new_results(folder: Path) -> Path:
     """Make `unused_results` of a folder; nobody else gets it. Raises as `make_results`."""
     while not make_results(made := unused_results(folder)):
-        pass  # another took that name first
+        pass  # another process took that name first
     return made
 
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder, which is there; others wait meanwhile. It is not to be taken twice."""
+    """Hold the lock of an existing folder; others wait meanwhile. It must not be taken twice."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -64,7 +65,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def numbered(results: Path) -> Iterator[Path]:
-    """Take the next number in a folder of results, as 007; nobody else gets it. Yields the folder to be filled.
+    """Take the next number in a folder of results, such as 007, exclusively. Yields the folder to fill.
 
     Raises InfrastructureError where nothing can be written there.
     """
@@ -88,12 +89,12 @@ def numbered(results: Path) -> Iterator[Path]:
 
 
 def _taken(folder: Path) -> Path:
-    """The folder that keeps a number while a call fills its run directory."""
+    """The folder that reserves a number while a call fills its run directory."""
     return folder.with_name(f".{folder.name}.taken")
 
 
 def mark_begun(folder: Path) -> None:
-    """Say that what fills a numbered folder measures now. Raises InfrastructureError where nothing can be written."""
+    """Mark a numbered folder as measuring now. Raises InfrastructureError where nothing can be written."""
     try:
         (_taken(folder) / _BEGUN).touch()
         atomic.sync_folder(_taken(folder))
@@ -102,7 +103,7 @@ def mark_begun(folder: Path) -> None:
 
 
 def numbers_begun(results: Path) -> dict[str, bool]:
-    """The numbers of which something was measured and nothing is closed: whether the call that measures still lives."""
+    """The numbers that began to measure and were not closed, each with whether its call still lives."""
     marks = sorted(results.glob(f".[0-9]*.taken/{_BEGUN}"))
     return {mark.parent.name[1:].removesuffix(".taken"): _is_held(mark.parent) for mark in marks}
 
@@ -127,7 +128,7 @@ def _hold(taken: Path) -> int:
 
 
 def _free_numbers_of_the_dead(results: Path) -> None:
-    """Remove what a killed call has left: the number that it took, unless it had begun, and what it was filling."""
+    """Remove what a killed call has left: what it was filling, and its number unless it had begun to measure."""
     for taken in results.glob(".*.taken"):
         folder = results / taken.name[1:].removesuffix(".taken")
         if not re.fullmatch(r"[0-9]{1,9}", folder.name):
@@ -140,20 +141,20 @@ def _free_numbers_of_the_dead(results: Path) -> None:
 
 
 def _partial_of(folder: Path) -> Path:
-    """What a run directory is called while it is filled."""
+    """The name of a run directory while it is filled."""
     return folder.with_name(f".{folder.name}.partial")
 
 
 def room_of(folder: Path) -> Path:
-    """The file that keeps room on the disk for a run directory."""
+    """The file that reserves disk space for a run directory."""
     return folder.with_name(f".{folder.name}.room")
 
 
 @contextlib.contextmanager
 def filling(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder beside `folder` to fill; nothing of it stays when the context is left by an exception.
+    """Yield an empty folder next to `folder` to fill; it is removed when an exception leaves the context.
 
-    A full local disk, or any other trouble with it, is an InfrastructureError. Raises as `make_results`, too.
+    A full local disk, or any other trouble with it, is an InfrastructureError. Also raises as `make_results`.
     """
     partial = _partial_of(folder)
     make_results(folder.parent)
@@ -164,7 +165,7 @@ def filling(folder: Path) -> Iterator[Path]:
     except OSError as error:
         shutil.rmtree(partial, ignore_errors=True)
         place = error.filename or partial
-        # numpy gives no reason where a file took less than it wrote.
+        # numpy gives no reason when a file took less than it wrote.
         reason = error.strerror or f"the disk took no more ({error})"
         raise InfrastructureError(f"{place}: cannot keep the results: {reason}") from error
     except BaseException:
@@ -174,9 +175,9 @@ def filling(folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def all_or_none(results: Path, number: str) -> Iterator[Path]:
-    """Yield an empty folder to close run directories in: at the end all of them stand in `results`, or none does.
+    """Yield an empty folder to close run directories in: at the end all of them are in `results`, or none is.
 
-    The one that is called `number` comes last. Raises InfrastructureError where there is no room for all.
+    The one named `number` comes last. Raises InfrastructureError where there is no room for all.
     """
     try:
         with filling(results / number) as staged:
@@ -189,7 +190,7 @@ def all_or_none(results: Path, number: str) -> Iterator[Path]:
 
 
 def close(partial: Path, folder: Path, record: RunRecord) -> None:
-    """Write run.json with the size and SHA-256 of every file, and give the folder its name."""
+    """Write run.json with the size and SHA-256 of every file, and give the folder its final name."""
     files = {}
     for path in sorted(partial.iterdir()):
         with path.open("rb") as stream:
@@ -201,7 +202,7 @@ def close(partial: Path, folder: Path, record: RunRecord) -> None:
 
 
 def rename(source: Path, folder: Path) -> None:
-    """Move a folder into its final place; what stood there before is kept as ``<name>.old-<n>``."""
+    """Move a folder to its final place; what was there before is kept as ``<name>.old-<n>``."""
     with locked(folder.parent):
         if folder.exists():
             folder.rename(_unused(folder, "old"))
@@ -210,13 +211,13 @@ def rename(source: Path, folder: Path) -> None:
 
 
 def put_aside(folder: Path) -> None:
-    """Move a run directory to the first ``<name>.old-<n>`` that is free."""
+    """Move a run directory to the first free ``<name>.old-<n>``."""
     with locked(folder.parent):
         folder.rename(_unused(folder, "old"))
 
 
 def keep_beside(partial: Path, folder: Path, kind: str) -> Path:
-    """Move what was filled to the first ``<name>.<kind>-<n>`` beside a folder that is free; returns that."""
+    """Move the filled folder to the first free ``<name>.<kind>-<n>`` next to `folder`; returns its path."""
     with locked(folder.parent):
         kept = partial.rename(_unused(folder, kind))
     atomic.sync_folder(folder.parent)
@@ -224,7 +225,7 @@ def keep_beside(partial: Path, folder: Path, kind: str) -> Path:
 
 
 def _unused(folder: Path, kind: str) -> Path:
-    """The first ``<name>.<kind>-<n>`` beside a folder that is free, for who holds the lock."""
+    """The first free ``<name>.<kind>-<n>`` next to a folder; the caller holds the lock."""
     number = 1
     while (candidate := folder.with_name(f"{folder.name}.{kind}-{number}")).exists():
         number += 1
@@ -232,7 +233,7 @@ def _unused(folder: Path, kind: str) -> Path:
 
 
 def closing_record(folder: Path) -> RunRecord | None:
-    """Return the record of a run directory, or None when it is not closed, or not readable."""
+    """Return the record of a run directory, or None when it is not closed or not readable."""
     try:
         return read_record(folder)
     except UsageError:

@@ -1,46 +1,46 @@
-"""The life of a run: its states, what moves it from one to the next, and the one function that does."""
+"""The life of a run: its states, the events that change them, and the one function that does."""
 
 from collections.abc import Callable
 from enum import StrEnum
 
 
 class RunState(StrEnum):
-    """Where a run is in its life. Only MEASURING survives the end of the runner: the target goes on by itself."""
+    """Where a run is in its life. Only MEASURING survives the end of the runner: the target continues alone."""
 
     PLANNED = "planned"
-    """Nothing of it is on the target."""
+    """The target has nothing of it."""
     STARTING = "starting"
-    """It has a folder on the target, perhaps loads that run; nothing is measured yet."""
+    """It has a folder on the target, and perhaps running loads; nothing is measured yet."""
     LAUNCHING = "launching"
-    """The programs that measure are about to be started: it may measure, whoever is killed meanwhile."""
+    """The measuring programs are about to be started; from now on they may run even if the runner is killed."""
     MEASURING = "measuring"
     """The programs of its suite were started."""
     OBSERVING = "observing"
-    """The runner observes programs that are no suite's: nobody else does."""
+    """The runner observes programs that belong to no suite; without it, nobody does."""
     ENDED = "ended"
     """The programs of its suite have ended; their files wait on the target."""
     CUT_OFF = "cut off"
     """The target was restarted before the run was closed."""
     CLOSED = "closed"
-    """Its run directory is closed, whatever its status."""
+    """Its run directory is closed, with whatever status."""
 
 
 class RunEvent(StrEnum):
-    """What moves a run."""
+    """An event that changes the state of a run."""
 
     BEGIN = "begin"
     LAUNCH = "launch"
     START = "start"
     OBSERVE = "observe"
     PICK_UP = "pick up"
-    """An earlier call started it, and it goes on or waits to be closed."""
+    """An earlier call started it, and it still runs or waits to be closed."""
     END = "end"
     CLOSE = "close"
     GIVE_UP = "give up"
-    """What runs of it is ended, and its folder on the target is removed."""
+    """Its processes are ended, and its folder on the target is removed."""
     RESTART = "restart of the target"
     KEEP = "keep"
-    """What a restart cut off is kept, as incomplete."""
+    """What a restart cut off is kept as incomplete."""
 
 
 _NEXT = {
@@ -49,7 +49,7 @@ _NEXT = {
     (RunState.PLANNED, RunEvent.GIVE_UP): RunState.PLANNED,
     (RunState.PLANNED, RunEvent.RESTART): RunState.CUT_OFF,
     (RunState.STARTING, RunEvent.LAUNCH): RunState.LAUNCHING,
-    # What its suite needs has ended: the programs that measure are not started.
+    # A program that the suite needs has ended: the measuring programs are not started.
     (RunState.STARTING, RunEvent.START): RunState.MEASURING,
     (RunState.STARTING, RunEvent.OBSERVE): RunState.OBSERVING,
     (RunState.STARTING, RunEvent.GIVE_UP): RunState.PLANNED,
@@ -74,18 +74,18 @@ _NEXT = {
 
 
 class GivenUp(StrEnum):
-    """Why an attempt was given up: the first words of the reason that the journal has for it."""
+    """Why an attempt was given up: the first words of the reason in the journal."""
 
     INTERRUPTED = "interrupted"
-    """By the user, in the time that it was to take."""
+    """By the user, within the planned time."""
     NOT_MEASURED = "nothing was measured"
     TOO_LONG = "took longer than it may"
     LEFT = "left by an earlier call"
-    """What it had measured is not known."""
+    """It is not known what it had measured."""
 
 
 def transition(state: RunState, event: RunEvent) -> RunState:
-    """Return the state that follows. Raises ValueError where the event cannot happen: a defect of the caller."""
+    """Return the next state. Raises ValueError where the event cannot happen: a defect of the caller."""
     try:
         return _NEXT[state, event]
     except KeyError:
@@ -100,6 +100,6 @@ class RunLife:
         self._note = note
 
     def move(self, event: RunEvent, reason: str | None = None) -> None:
-        """Let an event happen. Raises ValueError as `transition` does."""
+        """Apply an event. Raises ValueError as `transition` does."""
         self.state = transition(self.state, event)
         self._note(self.state, reason)

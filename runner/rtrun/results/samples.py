@@ -1,6 +1,6 @@
-"""Reader of a suite's samples: ``<output>.npy`` with the ``<output>.json`` beside it.
+"""Reader of a suite's samples: ``<output>.npy`` with the ``<output>.json`` next to it.
 
-Both are untrusted: their sizes are limited, the npy is never unpickled, and rows and counts must tell the same.
+Both are untrusted: their sizes are limited, the npy is never unpickled, and rows and counts must agree.
 """
 
 import re
@@ -20,7 +20,7 @@ from rtrun.plan.suites import described_suites, kind_of, suite
 from rtrun.results.output import Record
 
 MAX_NPY_BYTES = 4 << 30
-# An npy without a row is its header: of a few columns this size, as the format rounds it up to 64 bytes.
+# An npy without rows is only its header: this size for a few columns, as the format rounds it up to 64 bytes.
 EMPTY_BYTES = 128
 _LEAD = b"\x93NUMPY\x01\x00"
 _HEADER = re.compile(
@@ -35,8 +35,8 @@ class Samples:
     """The samples of one run of a program.
 
     `series` are measured, reported, difference, measured_2014 and difference_2014 (one-shot), lateness, jitter and grid
-    (cyclic), or latency (communication, in the order of the sequence numbers); the first is what the suite is about.
-    `columns`, each of shape (rows,), are mapped from the file, in the order of suites.yml.
+    (cyclic), or latency (communication, ordered by sequence number); the first is the main one of the suite. `columns`,
+    each of shape (rows,), are mapped from the file, in the order of suites.yml.
     """
 
     path: Path
@@ -45,7 +45,7 @@ class Samples:
     series: dict[str, IndexedValues]
 
     def judged(self, of: Measure | None) -> IndexedValues:
-        """The series that a question is of. Raises UsageError when the suite measures no such thing."""
+        """The series that a question is about. Raises UsageError when the suite does not measure it."""
         try:
             measure = suite(self.record.suite).judged(of)
         except UsageError as error:
@@ -54,9 +54,9 @@ class Samples:
 
 
 def read_samples(path: Path, record: Record | None = None) -> Samples:
-    """Read an output by its json or its npy; the other one must be next to it. `record` is the json, if read before.
+    """Read an output by its json or its npy; the other file must be next to it. `record` is the json, if already read.
 
-    Raises UsageError that names the file, or both where they disagree.
+    Raises UsageError that names the file, or both files where they disagree.
     """
     json_path, npy_path = path.with_suffix(".json"), path.with_suffix(".npy")
     record = record or read_json(json_path, Record)
@@ -78,7 +78,7 @@ def read_samples(path: Path, record: Record | None = None) -> Samples:
 
 
 def read_rows(path: Path, names: Sequence[str]) -> Int64s:
-    """Map the rows, shape (rows, columns), of the columns of these names. Raises UsageError."""
+    """Map the rows, shape (rows, columns), of an npy with these columns. Raises UsageError."""
     if path.exists() and not path.is_file():
         raise UsageError(f"{path}: not a regular file")
     try:
@@ -108,7 +108,7 @@ def read_rows(path: Path, names: Sequence[str]) -> Int64s:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NpyHeader:
-    """What the header announces; the data begin at `start_bytes`."""
+    """What the header states; the data begin at `start_bytes`."""
 
     dtype: str
     fortran_order: bool
@@ -119,7 +119,7 @@ class NpyHeader:
 def read_header(stream: BinaryIO) -> NpyHeader:
     """Read the header of an npy in NumPy format 1.0 from the beginning of a file, without running it as Python.
 
-    Raises ValueError that says what is wrong with it.
+    Raises ValueError that states what is wrong with it.
     """
     lead = stream.read(10)
     if lead[:8] != _LEAD:

@@ -1,6 +1,6 @@
-"""One series of one output, from samples, a log or what was imported: every figure and verdict begins here.
+"""One series of one output, from samples, a log or an import: every figure and verdict begins here.
 
-The start-up values are set apart here, so that they stay apart in all that is reported of the series.
+The start-up values are separated here, so that they stay separate in everything that is reported.
 """
 
 from collections.abc import Iterable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rtrun.results.importers.samples_file import ImportedSamples
 
 MEASURED_2014 = "measured_2014"
-# What to say wherever such a series is shown.
+# The remark for every display of such a series.
 NOTE_2014 = (
     "measured counts from before the timer is armed; measured_2014 and difference_2014 count from after it, as the"
     " programs of 2014 and the logs do: a few microseconds less."
@@ -41,14 +41,15 @@ _US = 1000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Header:
-    """All that is known of a series but its values.
+    """Everything known about a series except its values.
 
-    A file on its own has the file's name for `run`, no `target`, and the `parameters` that it tells. `of` is what a
-    question calls this series, None for one that none is of; `main` says that the question is of it: it is the one that
-    is judged. `startup` are the values of the first loops, which are in no figure. `missing`, `out_of_order`,
-    `duplicate`, `not_fired` and `skipped` count what is no value. `incomplete` says why fewer were measured than asked
-    for, `undecidable` why no answer can rest on the values; empty where one can. `remarks` are sentences on what the
-    file does not tell, or told wrongly and was corrected.
+    For a single file, `run` is the name of the file, `target` is empty, and `parameters` are those that the file
+    states. `of` is the name of this series in a question, None if no question can ask for it. `main` marks the series
+    that the question is about and that is judged. `startup` are the values of the first loops, which no figure
+    includes. `missing`, `out_of_order`, `duplicate`, `not_fired` and `skipped` count what is not a value.
+    `incomplete` is the reason why fewer values were measured than asked for, `undecidable` the reason why no answer can
+    rest on them; empty where there is none. `remarks` are sentences on what the file does not state, or stated wrongly
+    and was corrected.
     """
 
     run: str
@@ -75,7 +76,7 @@ class Header:
 
     @property
     def is_usual(self) -> bool:
-        """Whether a question that names no series is of this one, where its suite has several."""
+        """Whether a question that names no series means this one, where its suite has several."""
         return self.main and (self.of is None or self.of == measures(self.suite)[0])
 
 
@@ -83,8 +84,8 @@ class Header:
 class SampleSeries:
     """Values in the order of their loops, shape (n,), without the start-up; `index`, shape (n,), is the loop of each.
 
-    `absent` are the loops that did not fire, whose message is missing or that were skipped, counted with the others
-    from the end of the start-up.
+    `absent` are the loops that did not fire, were skipped, or whose message is missing. All loops are counted from the
+    end of the start-up.
     """
 
     header: Header
@@ -99,7 +100,7 @@ class SampleSeries:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class HistogramSeries:
-    """Counts of values, whose order is not known, without the start-up as far as the file tells which values it were.
+    """Counts of values in unknown order, without the start-up values as far as the file identifies them.
 
     `top` and `lowest` are the values that the file lists with their loop, best first. `absent_count` is the number of
     loops without a value.
@@ -121,19 +122,19 @@ Series = SampleSeries | HistogramSeries
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Result:
-    """The figures of one series of one output: a row of a table."""
+    """The figures of one series of one output: one row of a table."""
 
     header: Header
     figures: Figures
 
 
 def results_of(every_series: Iterable[Series]) -> tuple[Result, ...]:
-    """The figures of every series."""
+    """The figures of each series."""
     return tuple(Result(header=one.header, figures=one.figures()) for one in every_series)
 
 
 def read_file(path: Path, of: Measure | None = None) -> tuple[Series, ...]:
-    """Read every series in one log, or in an npy and the json of its name; `of` is what the question names.
+    """Read every series in a log, or in an npy and the json of its name; `of` is the measure that the question names.
 
     Raises UsageError as `read_log` and `read_samples` do, and for a file of another kind.
     """
@@ -147,7 +148,7 @@ def read_file(path: Path, of: Measure | None = None) -> tuple[Series, ...]:
 
 
 def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[SampleSeries, ...]:
-    """Every series in samples; the one that a question `of` this is of is the main one.
+    """Every series in samples; the one that a question about `of` means is the main one.
 
     Raises UsageError when the suite measures no such thing.
     """
@@ -159,7 +160,8 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
     sample_series = []
     told: set[Measure | None] = set()
     for name, values in samples.series.items():
-        # A question's "latency" may be two series of a one-shot timer. The first is meant, the second is that of 2014.
+        # A question about "latency" fits two series of a one-shot timer. The first is meant; the second is that of
+        # 2014.
         known = None if called(name) in told else called(name)
         told.add(known)
         loops = startup_loops(name) if suite(record.suite).subject == "started" else 0
@@ -201,8 +203,8 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
 def series_of_log(log: "Log", of: Measure | None = None) -> HistogramSeries:
     """The series in a log.
 
-    A log names the loop of its ten highest and lowest values only: a start-up value among them is set apart, and a
-    remark says so where one is not. Raises UsageError for a question of what a log does not hold.
+    A log names the loops of only its ten highest and lowest values. A start-up value among them is separated; a remark
+    reports the start-up values that are not. Raises UsageError for a question about something that a log does not hold.
     """
     known = called(log.series) if log.series in MAIN_2014 else None
     try:
@@ -246,7 +248,7 @@ def series_of_log(log: "Log", of: Measure | None = None) -> HistogramSeries:
 
 
 def series_of_histogram(imported: "Imported", of: Measure | None = None) -> HistogramSeries:
-    """The series in a histogram of another program. Raises UsageError for a question of its jitter."""
+    """The series in a histogram of another program. Raises UsageError for a question about its jitter."""
     return HistogramSeries(
         header=_header_of(imported, of, undecidable=imported.undecidable),
         histogram=imported.histogram,
@@ -257,10 +259,10 @@ def series_of_histogram(imported: "Imported", of: Measure | None = None) -> Hist
 
 
 def series_of_imported_samples(imported: "ImportedSamples", of: Measure | None = None) -> SampleSeries:
-    """The series in samples of another program. Raises UsageError for a question of its jitter."""
+    """The series in samples of another program. Raises UsageError for a question about its jitter."""
     values_ns = imported.values_ns
     header = _header_of(imported, of)
-    # cyclictest prints whole microseconds, the rest is cut off, unless -N asks for ns.
+    # cyclictest prints whole microseconds, truncated, unless -N asks for ns.
     if values_ns.size and not np.any(values_ns % _US):
         header = replace(header, clock_step_ns=max(_US, header.clock_step_ns or 1))
     return SampleSeries(

@@ -1,4 +1,4 @@
-"""Texts of an observation that are kept until it is written, in a file without a name: together they may be long."""
+"""Texts of an observation, kept in an unnamed file until they are written: together they may be long."""
 
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -8,7 +8,7 @@ from typing import IO
 
 from rtrun.results.columns import NoRoom, kept_in
 
-# Some thousand traces; one is as long as a trace that is copied from a target may be.
+# Some thousand traces; one may be as long as a trace that is copied from a target.
 TEXT_BYTES_MAX = 256 * 1024 * 1024
 ONE_TEXT_BYTES_MAX = 64 * 1024 * 1024
 _PIECE_BYTES = 2**20
@@ -16,7 +16,7 @@ _PIECE_BYTES = 2**20
 
 @dataclass(frozen=True, slots=True)
 class StoredText:
-    """A text in a file, from one place to another."""
+    """A text in a file, from one position to another."""
 
     file: IO[bytes] | None
     begin: int
@@ -26,7 +26,7 @@ class StoredText:
         return self.end > self.begin
 
     def pieces(self) -> Iterator[bytes]:
-        """The text, some of it at a time. Raises OSError."""
+        """The text in pieces. Raises OSError."""
         for at in range(self.begin, self.end, _PIECE_BYTES):
             assert self.file is not None
             self.file.seek(at)
@@ -34,18 +34,18 @@ class StoredText:
 
 
 class TextStore:
-    """Texts in a file in the folder; None: where temporary files are."""
+    """Texts in a file in the folder; None: in the folder for temporary files."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._file: IO[bytes] | None = None
         self.end = 0
-        """How many bytes all have."""
+        """How many bytes all texts have."""
         self.is_full = False
-        """Whether there is no room for more."""
+        """Whether there is no more room."""
 
     def add(self, lines: Iterable[str]) -> StoredText:
-        """Store a text; an empty one where it is too long, or there is no room for it, on the disk or beside others."""
+        """Store a text; return an empty one if it is too long, or the disk or the store has no room for it."""
         begin = self.end
         if self.is_full:
             return StoredText(self._file, begin, begin)
@@ -54,7 +54,7 @@ class TextStore:
                 self._file = self._file or tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115
                 self._file.seek(begin)
                 for line in lines:
-                    # What is not kept takes its room, too: it took as long to be made.
+                    # A text that is not kept counts too: making it took as long.
                     self.end += self._file.write(line.encode())
                     self.is_full = self.end > TEXT_BYTES_MAX
                     if self.is_full or self.end - begin > ONE_TEXT_BYTES_MAX:

@@ -14,7 +14,7 @@ FILE = "topology.json"
 
 
 class Spread(Config):
-    """How times are spread; None where there is not one."""
+    """The distribution of times; None where there are none."""
 
     median_ns: TimeNs | None
     max_ns: TimeNs | None
@@ -26,17 +26,17 @@ class NodeFigures(Config):
     node: str
     activations: Count
     overruns: Count = 0
-    """Points of its period that it skipped, as an activation before was not over."""
+    """Points of its period that it skipped because the activation before was not over."""
     cpu: Spread
-    """CPU time of its thread in an activation, with what publishing takes there."""
+    """CPU time of its thread in an activation, including publishing."""
     response: Spread
-    """From when an activation was due to its end."""
+    """From the time an activation was due to its end."""
     lateness: Spread
-    """From when an activation was due to its begin."""
+    """From the time an activation was due to its begin."""
 
 
 class HopFigures(Config):
-    """What became of the messages of a topic at a node that takes it.
+    """What became of the messages of a topic at a node that receives it.
 
     sent = taken + overwritten + unused + the sum of `lost`, which is by cause.
     """
@@ -47,30 +47,30 @@ class HopFigures(Config):
     sent: Count
     taken: Count
     overwritten: Count = 0
-    """Replaced by a newer one before the node took it, as one that takes the newest does."""
+    """Replaced by a newer one before the node took it, for a node that takes the newest."""
     unused: Count = 0
-    """There when the run ended."""
+    """Waiting when the run ended."""
     lost: dict[str, Count] = Field(default_factory=dict)
     latency: Spread
     """From publication to reception."""
 
 
 class CycleStep(Config):
-    """A node's part in a cycle, its times from the release of the source; how its message went on to the next node."""
+    """A node's part in a cycle: times from the release of the source, and how its message went on to the next node."""
 
     node: str
     release_ns: TimeNs
     begin_ns: TimeNs
     done_ns: TimeNs
-    """The work is done, nothing published yet."""
+    """When the work was done and nothing published yet."""
     end_ns: TimeNs
     publication_ns: TimeNs | None = None
-    """None, both: it is the last one."""
+    """Both are None for the last node."""
     reception_ns: TimeNs | None = None
 
 
 class PathFigures(Config):
-    """What came along a path, and the cycle with the longest reaction: from an input to the output that it led to."""
+    """What came along a path, and the cycle with the longest reaction: from an input to the output that it caused."""
 
     topics: list[str]
     nodes: list[str]
@@ -80,7 +80,7 @@ class PathFigures(Config):
 
 
 def _topology(value: object) -> object:
-    # Its lists are tuples, which a strict model does not take from JSON.
+    # Its lists are tuples, which a strict model does not accept from JSON.
     return TypeAdapter(Topology).validate_python(value, strict=False)
 
 

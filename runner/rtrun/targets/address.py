@@ -1,4 +1,4 @@
-"""Where a target is: behind an SSH server, with what both sides prove who they are by, or here."""
+"""Where a target is: behind an SSH server, with the keys that identify both sides, or this machine."""
 
 import ipaddress
 import re
@@ -30,7 +30,7 @@ class Address:
     jump: Self | None = None
     """The SSH server through which this one is reached."""
     is_jump: bool = False
-    """Others are reached through this one: what a target file says of a host key is not said of it."""
+    """Other servers are reached through this one. The host key in a target file is not that of a jump host."""
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -57,7 +57,7 @@ def check_host(name: str) -> str:
 
 
 def check_server(text: str) -> str:
-    """HOST, HOST:PORT or [ADDRESS]:PORT, as it stands in an address, too. Raises ValueError."""
+    """Return HOST, HOST:PORT or [ADDRESS]:PORT, as used in an address. Raises ValueError."""
     parts = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::([0-9]{1,5}))?", text, re.ASCII)
     if not parts:
         raise ValueError(f"{text[:100]!r} is not HOST:PORT, of IPv6 [ADDRESS]:PORT")

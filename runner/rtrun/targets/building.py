@@ -1,4 +1,4 @@
-"""The suites built on a target, by its own compiler and for the ROS that it has."""
+"""Build the suites on a target, with its own compiler and for its own ROS."""
 
 import secrets
 from collections.abc import Mapping
@@ -12,21 +12,21 @@ from rtrun.targets.inspection import facts as inspection
 from rtrun.targets.link import OUT_OF_REACH, Link
 
 NAME = "build"
-# The folder of the suites in that of the target's work.
+# The folder of the suites in the target's work folder.
 BUILT = "built"
 SCRIPT = "build_suites.sh"
 # A slow board with one CPU takes half an hour.
 BUILD_S = 3 * 3600.0
 END_GRACE_S = 60.0
-# Lines of what went wrong that are shown.
+# How much of an error's output is shown.
 SHOWN_LINES = 16
 SHOWN_CHARACTERS = 8000
-# The middlewares that a shell file sets up, of which the target may have several.
+# The middlewares that a shell file sets up. The target may have several such files.
 OF_ROS = ("roscpp", "rcl")
 _LIVING_RUNS = groups.FUNCTIONS + 'cd "$1" && living runs'
-# Starts a build in the folder $2 below $1 by the words that follow, unless one is going on: of that it prints the
-# process group. A build holds the lock of all builds as long as a process of it lives, also when its runner is gone.
-# This may be repeated after a lost link: the build that it started is not refused.
+# Starts a build in the folder $2 below $1 by the words that follow. If another build is going on, it prints that one's
+# process group instead. A build holds the lock of all builds as long as one of its processes lives, also when its
+# runner is gone. This may be repeated after a lost link: the build that it started is not refused.
 _START = (
     groups.FUNCTIONS
     + """
@@ -54,7 +54,7 @@ exec "$@"
 def build(link: Link, sources: Path) -> Mapping[str, str]:
     """Copy the sources of the suites, the folder recipes-tests, to the target and build them there.
 
-    Campaigns use what was built instead of other suites on the target. Return what it was built with, name to value.
+    Campaigns use these suites instead of others on the target. Return what they were built with, name to value.
     Raises UsageError where the target file names other suites, TargetError with what the target lacks, or the
     compiler's lines.
     """
@@ -105,6 +105,6 @@ def _start(link: Link, scripts: PurePosixPath, folder: PurePosixPath, program: P
 
 
 def _last_words(link: Link, folder: PurePosixPath) -> str:
-    """What the script said was wrong."""
+    """The error that the script reported."""
     said = link.run(["tail", "-n", str(SHOWN_LINES), str(folder / f"{NAME}.stderr")]).stdout
     return said.strip()[:SHOWN_CHARACTERS] or "building the suites was ended before it was done"

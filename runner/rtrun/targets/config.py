@@ -29,13 +29,13 @@ from rtrun.targets.ssh.ssh_config import address_of
 
 Word = Annotated[str, Field(min_length=1)]
 Command = Annotated[list[Word], Field(min_length=1)]
-# A week and a day: more than anybody waits for.
+# A week and a day: longer than anybody waits.
 RECONNECT_MAX_S, BOOT_MAX_S = 604_800, 86_400
 # A kernel of 30 MiB is copied on a slow stick, and compared.
 CHOOSE_KERNEL_S = 120.0
 
 
-# No part of it is . or ..: folders in it are removed.
+# No part of the path may be . or .., since folders in it are removed.
 WorkDir = Annotated[
     str,
     matching(
@@ -58,7 +58,7 @@ class _Common(Config):
         str, matching(r"[A-Za-z0-9][A-Za-z0-9._-]*", "a name of letters, digits and . _ -, a letter or digit first")
     ]
     suites: UserPath | None = None
-    """Folder of `rtgen suites build` to deploy, relative to this file; none: those installed on the target."""
+    """Folder of `rtgen suites build` to deploy, relative to this file; none: the suites installed on the target."""
     work_dir: WorkDir = "/var/lib/rt-tests"
     """Folder on the target for deployed suites and running measurements."""
     ros_setup: str | None = None
@@ -69,13 +69,13 @@ class _Common(Config):
 
 
 class _Ssh(_Common):
-    """What a board with an SSH server has. None here is as ~/.ssh/config says, or else as `Address` has it."""
+    """What a board with an SSH server has. Values that are None come from ~/.ssh/config, or else from `Address`."""
 
     key: UserPath | None = None
     host_key: Annotated[str, AfterValidator(_host_key)] | None = None
     known_hosts: UserPath | None = None
     emulated: bool = False
-    """True for an emulated machine that looks like a real one. What looks virtual is found without it."""
+    """True for an emulated machine that looks like a real one. A machine that looks virtual is found without it."""
     restart: Command | None = None
     """Command line on the target that restarts it, for campaigns that ask for several boots or kernels."""
     boot_kernel: dict[KernelName, Command] = Field(default_factory=dict)
@@ -108,9 +108,9 @@ class LabgridConfig(_Ssh):
     coordinator: Word | None = None
     """HOST or HOST:PORT; none: as labgrid's environment file, LG_COORDINATOR, or labgrid's default."""
     environment: UserPath | None = None
-    """labgrid's own environment file, relative to this file, for what a place needs beside its resources."""
+    """labgrid's own environment file, relative to this file, for what a place needs in addition to its resources."""
     priority: Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)] = 0.0
-    """Of those who wait for a place the highest has it first."""
+    """Of those who wait for a place, the one with the highest priority gets it first."""
     boot_s: Annotated[int, Field(ge=1, le=BOOT_MAX_S)] = 180
     """How long the board may take until SSH answers after its power was switched, in seconds."""
 
@@ -149,7 +149,7 @@ _KINDS: dict[str, type[TargetConfig]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Power:
-    """The power switch of a target: `cycle` switches it off and on; it boots within `boot_s` seconds then."""
+    """The power switch of a target: `cycle` switches it off and on; the target then boots within `boot_s` seconds."""
 
     cycle: Callable[[], None]
     boot_s: float
@@ -157,35 +157,35 @@ class Power:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A target that is switched on. What has a default is of some kinds of targets alone."""
+    """A target that is switched on. Fields with a default exist only for some kinds of targets."""
 
     name: str
     address: Address | ThisMachine
     suites: Path | None
     work_dir: PurePosixPath
     setup: str | None
-    """The shell file that sets up what its middlewares need; None: the one that is found there."""
+    """The shell file that sets up what its middlewares need; None: the one that is found on the target."""
     master_port: int
     reconnect_s: float
     place: str | None = None
-    """Of a labgrid farm, which was taken for it: the name of the board, where the target is any of several."""
+    """The place of a labgrid farm that was acquired for it: the board's name if the target is any of several."""
     known_platform: KnownPlatform | None = None
-    """What is known without asking the target, and not to be asked then."""
+    """The platform if it is known without asking the target; then the target is not asked."""
     boot_s: float = 0.0
     """How long it may take until SSH answers for the first time, in seconds."""
     console: Path | None = None
     restart: Callable[[Connection], None] | None = None
-    """Asks the target to restart, and returns before it does; None: nobody has said how."""
+    """Asks the target to restart, and returns before it restarts; None: the target file does not say how."""
     boot_kernel: Mapping[KernelName, Callable[[Connection], None]] = field(default_factory=dict)
-    """By kernel: chooses it as the one that `restart` starts."""
+    """By kernel: chooses the kernel that `restart` starts."""
     power: Power | None = None
-    """None: nobody can switch it."""
+    """None: its power cannot be switched."""
     failure: Callable[[], TargetGone | None] = lambda: None
-    """Why the target is gone and will not return, as far as is known without a connection; None while it may answer."""
+    """Why the target is gone forever, as far as is known without a connection; None while it may answer."""
 
 
 def target_name(host: str) -> str:
-    """A name for the target of a host; empty where no character of it may be in one."""
+    """A name for the target of a host; empty if no character of the host is allowed in a name."""
     return re.sub(r"[^A-Za-z0-9._-]+", "-", host).strip("-._")
 
 
@@ -218,9 +218,9 @@ def connect(
 ) -> Iterator[Target]:
     """Yield the target; a board in QEMU is booted, a place of a farm acquired, until the context is left.
 
-    Relative paths of the config are relative to `folder`. The serial console of such a board goes to `console`. Where
-    a place is waited for, `notify` is told, until `is_over`. For a health check a place may be in quarantine, and none
-    is waited for: TargetGone. `preferred` is the place to take where it is free.
+    Relative paths of the config are relative to `folder`. The serial console of such a board goes to `console`. If all
+    places are held, `notify` reports that, and the wait lasts until `is_over`. A health check may take a place in
+    quarantine, but does not wait: it raises TargetGone. `preferred` is the place to take if it is free.
     """
     suites = _resolve(folder, config.suites) if config.suites is not None else None
     if suites is not None and not suites.is_dir():
@@ -271,7 +271,7 @@ def connect(
 
 
 def wanted_place(config: LabgridConfig, folder: Path) -> labgrid.WantedPlace:
-    """What a target file asks of which coordinator. Raises UsageError for an environment file that is none."""
+    """The place that a target file asks for, and at which coordinator. Raises UsageError for a bad environment file."""
     environment = labgrid_environment.Environment()
     if config.environment is not None:
         environment = labgrid_environment.read_environment(_resolve(folder, config.environment))
@@ -313,7 +313,7 @@ Restart = Callable[[Connection], None]
 
 
 def _restarting(config: SshConfig | LabgridConfig) -> tuple[Restart | None, dict[KernelName, Restart]]:
-    """What restarts the target, and by kernel what chooses it before, as the target file says."""
+    """From the target file: the function that restarts the target, and by kernel the one that chooses it before."""
     restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
     return restart, {
         kernel: functools.partial(_choose_by_command, command) for kernel, command in config.boot_kernel.items()
@@ -335,7 +335,7 @@ def _resolve(folder: Path, path: str) -> Path:
 
 
 def _restart_by_command(argv: Sequence[str], connection: Connection) -> None:
-    # The board may be gone before it answers; asked a second time, it would restart once more.
+    # The board may be gone before it answers. If asked a second time, it would restart once more.
     with contextlib.suppress(ConnectionLost):
         connection.check(argv)
 

@@ -1,7 +1,7 @@
 """Commands, files and ports of a target, over SSH or on this machine.
 
-Commands are argument lists; they are quoted where they are sent and nowhere else. The target is not trusted: every
-operation has a total deadline, and what a command may print is limited.
+Commands are argument lists; they are quoted only where they are sent. The target is not trusted: every operation has a
+total deadline, and the output of a command is limited.
 """
 
 import contextlib
@@ -19,12 +19,12 @@ from rtrun.targets.local import LocalShell
 from rtrun.targets.receiving import LARGE_BYTES, Receiver, is_faster_compressed, local_file, reading
 from rtrun.targets.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, Shell
 
-# What a command on the target may take unless its caller says otherwise.
+# How long a command on the target may take by default.
 COMMAND_S = 30.0
-# A transfer that is slower than this has failed. The time is for what is done with a file when it has arrived, too.
+# A transfer that is slower than this has failed. The time includes the work on a file after its arrival.
 TRANSFER_S = 120.0
 TRANSFER_BYTES_PER_S = 50_000
-# Neither ls nor the shell is given the whole folder, which they would sort: find prints as it reads.
+# Uses find, which prints while it reads. ls and the shell would sort the whole folder first.
 _LIST = """
 cd "$1" || exit 1
 matches_max=$2
@@ -63,11 +63,11 @@ class Connection:
         if isinstance(address, ThisMachine):
             self.shell = LocalShell(address)
         else:
-            # What reads results imports this module, too, and paramiko takes long to load.
+            # Code that only reads results imports this module, too, and paramiko takes long to load.
             from rtrun.targets.ssh.ssh_shell import SshShell
 
             self.shell = SshShell(address, timeout_s=timeout_s)
-        # Whether large files are compressed for the way; measured with the first one.
+        # Whether large files are sent compressed; measured with the first one.
         self._is_compressing: bool | None = None
 
     def close(self) -> None:
@@ -75,7 +75,7 @@ class Connection:
         self.shell.close()
 
     def interrupt(self) -> None:
-        """Break the connection, so that what another thread waits for ends by ConnectionLost."""
+        """Break the connection, so that a thread that waits for it gets ConnectionLost."""
         self.shell.interrupt()
 
     def run(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> Completed:
@@ -89,7 +89,7 @@ class Connection:
         return Completed(status=status, stdout=stdout.text(), stderr=stderr)
 
     def check(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> str:
-        """`run`, and return what it printed; a nonzero exit status is a TargetError with its last line of output."""
+        """`run`, and return the output; a nonzero exit status is a TargetError with the last line of output."""
         result = self.run(argv, deadline_s=deadline_s, stdin=stdin)
         if result.status != 0:
             last_line = _last_line(result.stderr) or _last_line(result.stdout) or "it printed nothing"
@@ -104,10 +104,10 @@ class Connection:
             raise ConnectionLost(f"{self.address}: does not answer: {error}") from error
 
     def upload(self, source: Path, destination: PurePosixPath, then: Sequence[str] = ("true",)) -> None:
-        """Copy a local file to the target, and run a command there on what has arrived.
+        """Copy a local file to the target, and run a command there on the copy.
 
-        Raises TargetError when the target cannot hold the file or the command fails, ConnectionLost. A lost connection
-        ends the file early, and the command runs on that.
+        Raises TargetError when the target cannot hold the file or the command fails, ConnectionLost. If the connection
+        is lost, the file ends early, and the command runs on the part that has arrived.
         """
         argv = ["sh", "-c", 'cat >"$1" && shift && exec "$@"', "sh", str(destination), *then]
         with local_file(source), source.open("rb") as stream:
@@ -119,13 +119,13 @@ class Connection:
             raise TargetError(f"{self.address}: cannot write {destination}: {_last_line(stderr)}{full}")
 
     def download(self, folder: PurePosixPath, sizes: Mapping[str, int], destination: Path) -> None:
-        """Copy files of a folder of the target into one here, all at a time, compressed where that takes less time.
+        """Copy files of a folder of the target into one here, all at once, compressed if that takes less time.
 
-        `sizes` are those that the target has told, by name. Raises TargetError when more arrives, a file cannot be read
-        or arrives with another checksum than it has on the target; ConnectionLost; and InfrastructureError when a copy
-        cannot be written.
+        `sizes` are the sizes that the target has reported, by name. Raises TargetError when more arrives, or a file
+        cannot be read or arrives with another checksum than it has on the target; ConnectionLost; InfrastructureError
+        when a copy cannot be written.
         """
-        # The largest comes first: with its first pieces is measured.
+        # The largest file comes first: its first pieces are used to measure.
         sizes = dict(sorted(sizes.items(), key=lambda item: item[1], reverse=True))
         first, size_bytes = next(iter(sizes.items()))
         receiver = Receiver(self.address, folder, sizes, destination)
@@ -158,20 +158,20 @@ class Listing:
     sizes: Mapping[str, int]
     """Name to size in bytes, of the regular files that were asked for; links are not followed."""
     total: int
-    """How many files and folders there are, whatever their names."""
+    """How many files and folders there are, with any name."""
 
 
 def listing(folder: PurePosixPath, names: Iterable[str], *, matches_max: int) -> list[str]:
     """The command that lists files of a folder by their names, for `parse_listing`.
 
-    A name with ``*`` is a pattern, which takes `matches_max` files at most. However much somebody else has put into the
-    folder, the answer is as long as the question.
+    A name with ``*`` is a pattern that matches at most `matches_max` files. So the length of the answer does not depend
+    on how much others have put into the folder.
     """
     return ["sh", "-c", _LIST, "sh", str(folder), str(matches_max), *names]
 
 
 def parse_listing(text: str) -> Listing:
-    """Read the output of `listing`. What is no line of it is left out."""
+    """Read the output of `listing`. Other lines are ignored."""
     total, *lines = text.splitlines() or [""]
     sizes = {}
     for line in lines:
@@ -188,7 +188,7 @@ def parse_listing(text: str) -> Listing:
 
 
 def join_commands(commands: Iterable[Sequence[str]]) -> list[str]:
-    """One command that runs these one after the other, up to the first that fails: one round trip, not many."""
+    """One command that runs these one after the other until one fails: one round trip, not many."""
     return ["sh", "-c", " && ".join(map(shlex.join, commands))]
 
 

@@ -1,4 +1,4 @@
-"""Putting files on the target by content: what is there already is not sent again."""
+"""Put files on the target by content: files that are already there are not sent again."""
 
 import hashlib
 import secrets
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 ON_TARGET = Path(__file__).parents[1] / "on_target"
 
-# Trees of each kind that stay beside those of a campaign: going back to the build before costs no transfer, and another
-# runner may be about to use its own.
+# Trees of each kind that stay in addition to those of a campaign: going back to the last build costs no transfer, and
+# another runner may be about to use its own.
 KEPT = 2
 # A slow board checks the suites, some MiB, in a second.
 CHECK_S = 120.0
-# Whether the tree stands there with these checksums; it counts as used now.
+# Whether the tree exists with these checksums. If so, it counts as used now.
 _IS_WHOLE = 'cd "$1" 2>/dev/null && sha256sum -c - >/dev/null 2>&1 && touch .'
-# Prints "<object>: OK" for each that is there and whole.
+# Prints "<object>: OK" for each object that is there and whole.
 _WHOLE = 'cd "$1" && LC_ALL=C sha256sum -c - 2>/dev/null; exit 0'
-# The file is its name's word: checked where it lies, then renamed, so that a power cut leaves no half of it.
+# A file has the name of its checksum. It is checked first, then renamed, so that a power cut leaves no partial file.
 _ADOPT = 'cd "$1" && echo "$3  $2" | sha256sum -c - >/dev/null && chmod 755 "$2" && sync "$2" && mv "$2" "$3"'
 _LINK = """
 set -e
@@ -48,7 +48,7 @@ mv "$1.$3" "$1"
 # Into it, where it has come in between.
 rm -rf "$1/${1##*/}.$3" "$1.$3.damaged"
 """
-# Nothing while a program of any run lives: it may have been started from any of the trees.
+# Removes nothing while a program of any run lives: it may have been started from any of the trees.
 _PRUNE = (
     groups.FUNCTIONS
     + """
@@ -64,10 +64,10 @@ find objects -type f -links 1 -mtime +0 -exec rm -f {} +
 
 
 def deploy(link: "Link", folder: Path, kind: str) -> PurePosixPath:
-    """Make a local folder stand on the target as ``<work_dir>/<kind>/<hash of its contents>`` and return that path.
+    """Put a local folder on the target as ``<work_dir>/<kind>/<hash of its contents>`` and return that path.
 
-    What stands there is used only while its checksums are right. Raises TargetError when the target cannot hold it. May
-    be repeated after anything went wrong.
+    An existing copy is used only if its checksums are right. Raises TargetError when the target cannot hold the folder.
+    May be repeated after any failure.
     """
     files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
     if not files:
@@ -81,13 +81,13 @@ def deploy(link: "Link", folder: Path, kind: str) -> PurePosixPath:
     link.do(lambda connection: _send(connection, link.target.work_dir / "objects", by_digest))
     objects = str(link.target.work_dir / "objects")
     command = ["sh", "-c", _LINK, "sh", str(tree), objects]
-    # Drawn anew at each attempt: a lost link may have left half of one.
+    # The random name is new at each attempt: a lost link may have left part of a tree.
     link.check([*command, secrets.token_hex(4), str(len(files))], stdin=listing)
     return tree
 
 
 def prune(link: "Link", used: int) -> None:
-    """Remove what was deployed before the trees that were `used` last and KEPT others, unless a run is going on."""
+    """Remove all deployed trees but the `used` newest and KEPT others, unless a run is going on."""
     link.check(["sh", "-c", _PRUNE, "sh", str(link.target.work_dir), str(used + KEPT)], deadline_s=CHECK_S)
 
 
@@ -100,6 +100,6 @@ def _send(connection: "Connection", objects: PurePosixPath, by_digest: Mapping[s
             adopt = ["sh", "-c", _ADOPT, "sh", str(objects), temporary, digest]
             connection.upload(by_digest[digest], objects / temporary, adopt)
         except TargetError:
-            # Best effort: on a full disk the half that was sent is in the way of everything else.
+            # Best effort: on a full disk the part that was sent is in the way of everything else.
             connection.run(["rm", "-f", str(objects / temporary)])
             raise

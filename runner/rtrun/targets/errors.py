@@ -1,4 +1,4 @@
-"""What can go wrong with a target, told apart by what the caller can do about it."""
+"""What can go wrong with a target, classified by what the caller can do about it."""
 
 from rtfiles.errors import InfrastructureError
 
@@ -16,4 +16,4 @@ class TargetGone(TargetError):
 
 
 class DeadlineExpired(TargetError):
-    """A remote command took longer than it was given; what it started has been ended."""
+    """A remote command exceeded its time; everything that it started has been ended."""

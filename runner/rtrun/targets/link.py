@@ -15,24 +15,24 @@ CONNECT_S = 10.0
 BREAKS_MAX = 5
 # A booting emulated board accepts TCP connections long before its SSH server answers: give up early, try again.
 CONNECT_BOOTING_S = 3.0
-# Each try is given more time than the last: a board on a busy host may need so long for a handshake.
+# Each try has more time than the last: a board on a busy host may need long for a handshake.
 CONNECT_GROWTH = 1.5
 CONNECT_MAX_S = 30.0
-# Of a console that may have printed for days: its last line stands in here.
+# A console may have printed for days. Its last line is within this end.
 CONSOLE_END_BYTES = 16 * 1024
 
 T = TypeVar("T")
 
 
 class Interrupted(KeyboardInterrupt):
-    """Another thread wants what is done with a link to end: Ctrl-C reached that one."""
+    """Another thread, which received Ctrl-C, ends the work on a link."""
 
 
 class TargetRebooted(TargetError):
     """The target came back with another boot id: what was running there has ended."""
 
 
-# The target cannot be reached now; what runs there is left as it is.
+# The target cannot be reached now. What runs there stays as it is.
 OUT_OF_REACH = (ConnectionLost, TargetGone, TargetRebooted)
 
 
@@ -67,13 +67,13 @@ class Link:
             self._connection = None
 
     def interrupt(self) -> None:
-        """Let what another thread does with this link end by Interrupted, once; after that it can clean up."""
+        """Raise Interrupted, once, in the thread that uses this link. After that the thread can clean up."""
         self._is_interrupted = True
         if (connection := self._connection) is not None:
             connection.interrupt()
 
     def expect_boot(self) -> None:
-        """Give the target the time that it boots in, before its power is switched: it is restarted on purpose."""
+        """Allow the target its boot time. Call this before its power is switched on purpose."""
         self._expects_boot = True
 
     def _check_interrupt(self) -> None:
@@ -84,9 +84,9 @@ class Link:
     def do(self, action: Callable[[Connection], T]) -> T:
         """Run an action, reconnecting for as long as the target file allows.
 
-        Raises TargetRebooted once after the target came back as another boot, TargetGone when it will not come back,
-        ConnectionLost when the time is up or the connection has broken BREAKS_MAX times under this action, and whatever
-        else the action raises.
+        Raises TargetRebooted once after the target came back with another boot, TargetGone when it will not come back,
+        ConnectionLost when the time is up or the connection has broken BREAKS_MAX times during this action, and
+        whatever else the action raises.
         """
         breaks = 0
         while True:

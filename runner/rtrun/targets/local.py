@@ -1,4 +1,4 @@
-"""Commands on this machine itself, as sshd would run them: in a session and an environment of their own."""
+"""Run commands on this machine itself as sshd would: in a session and an environment of their own."""
 
 import contextlib
 import itertools
@@ -27,7 +27,7 @@ class LocalShell:
         self.address = address
 
     def interrupt(self) -> None:
-        """Nothing can be broken: whoever waits does so until the command ends, or its time is up."""
+        """There is no connection to break: a waiting thread waits until the command ends or its time is up."""
 
     def close(self) -> None:
         """Nothing is open."""
@@ -51,7 +51,7 @@ class LocalShell:
             _exchange(process, stdin, take, stderr, deadline, feed)
             process.wait(max(0.0, deadline - time.monotonic()))
         except BaseException as error:
-            # With all that it started. Its number belongs to it as long as nobody has waited for it.
+            # Kill it with everything that it started. Its number stays its own until somebody has waited for it.
             if process.returncode is None:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
@@ -88,7 +88,7 @@ class LocalShell:
     def open_port(self, port: int, deadline_s: float) -> Iterator[socket.socket]:
         """As `Shell.open_port`."""
         with socket.create_connection(("127.0.0.1", port), timeout=deadline_s) as stream:
-            # The timeout of a socket is for each step of its own.
+            # The timeout of a socket applies to each step, not to the whole.
             deadline = threading.Timer(deadline_s, _shut_down, [stream])
             deadline.daemon = True
             deadline.start()
@@ -100,12 +100,12 @@ class LocalShell:
 
 @contextlib.contextmanager
 def _interrupt_held() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back until the function that it yields is called: within Popen nobody knows yet what was started.
+    """Hold Ctrl-C back until the yielded function is called: within Popen it is not known yet what was started.
 
-    To block the signal would not do: another thread takes it then, or what is started has it blocked.
+    Blocking the signal would not do: another thread would take it, or the started program would have it blocked.
     """
     if threading.current_thread() is not threading.main_thread():
-        # Python lets the main thread alone handle signals.
+        # In Python only the main thread handles signals.
         yield lambda: None
         return
     held: list[int] = []
@@ -124,7 +124,7 @@ def _interrupt_held() -> Iterator[Callable[[], None]]:
 
 
 def environment() -> dict[str, str]:
-    """The environment of a login: what the runner's own shell has set up, as a virtual environment, is not in it."""
+    """The environment of a login, without what the runner's own shell has set up, such as a virtual environment."""
     try:
         user = pwd.getpwuid(os.getuid())
     except KeyError:
@@ -163,7 +163,7 @@ def _exchange(
                     _close_stdin(process.stdin, selector)
                 elif more:
                     chunks = itertools.chain(chunks, [more])
-                    # It may still wait for its turn.
+                    # The pipe may still be registered.
                     with contextlib.suppress(KeyError):
                         selector.register(process.stdin, selectors.EVENT_WRITE)
             for key, _ in selector.select(remaining_s):

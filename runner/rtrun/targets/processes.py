@@ -17,7 +17,7 @@ from rtrun.targets.connection import join_commands
 from rtrun.targets.errors import DeadlineExpired, TargetError
 from rtrun.targets.link import Link
 
-# The longest single wait: between two waits the runner looks whether the target still exists.
+# The longest single wait: between two waits the runner checks whether the target still exists.
 WAIT_S = 15.0
 # The shortest single wait: opening a channel takes time on a slow link.
 SLICE_S = 2.0
@@ -27,7 +27,7 @@ END_BACKGROUND_S = 300.0
 # To remove a folder with some million files from an SD card.
 REMOVE_S = 600.0
 
-# Before it waits it looks whether one of the programs that this one works for, $3 and so on, has failed meanwhile.
+# Waits for the program $2. First it checks whether one of the programs that it needs, $3 and so on, has failed.
 _WAIT = """
 cd "$1" || exit 1
 program=$2
@@ -45,8 +45,8 @@ cat "$program.exit" 2>/dev/null
 exit 0
 """
 _LIST_ENDED = 'cd "$1" && shift && for name; do if flock -n -s "$name.lock" true; then echo "$name"; fi; done'
-# Programs, with the name * all of the folder, are ended by the signals of $2, as `end_processes` reads them. Prints a
-# line "PROGRAM PID NAME" for each process that stays, without the last two words where the target shows none.
+# Ends programs by the signals of $2, as `end_processes` reads them; the name * stands for all of the folder. Prints a
+# line "PROGRAM PID NAME" for each process that stays, without the last two words if the target does not show them.
 _END = (
     groups.FUNCTIONS
     + """
@@ -89,10 +89,10 @@ _PATIENT = "TERM:20 KILL:10"
 # For a load, which has nothing to put right: a worker of stress-ng --vm ends only after its pass over the memory.
 _IMPATIENT = "TERM:2 KILL:10"
 LIKE_CTRL_C = "INT:100 TERM:50 KILL:20"
-"""For a driver that stops its motors: as Ctrl-C first."""
+"""For a driver that stops its motors: first the signal of Ctrl-C."""
 _LEFT_SHOWN = 8
 _LEFT = re.compile(r"([A-Za-z0-9_.-]{1,64})(?: ([0-9]{1,7}) ([ -~]{0,64}))?", re.ASCII)
-# How the command of a program stands: its exit status, whether its supervisor lives, the processes that it has started.
+# Prints the state of a program's command: exit status, whether its supervisor lives, the processes that it started.
 _LOOK = (
     groups.FUNCTIONS
     + """
@@ -109,9 +109,9 @@ exit 0
 _GIVE_UP = '[ ! -d "$1" ] || : >"$1/given_up"; exit 0'
 _MARK = "== ended"
 _THEN = "== then"
-# A background program ended early when it ended before the last of the suite's programs. This answer and the service
-# that was seen at the end are kept in the folder before anything is ended: the caller may ask again after a lost link,
-# or after the runner was killed, and then what the runner itself has ended must not count.
+# A background program ended early if it ended before the last of the suite's programs. This answer and the service seen
+# at the end are kept in the folder before anything is ended. The caller may ask again after a lost link, or after the
+# runner was killed; then programs that the runner itself has ended must not count.
 _KEEP_END = """
 cd "$1" || exit 1
 # Of two callers that write at the same time the first wins. On a full disk the new word is used, and not kept.
@@ -147,19 +147,19 @@ write_if_absent ended_early "$early"
 class Ended:
     """What the end of a run found.
 
-    `early` are the background programs that ended before the suite did, name to exit status, which is empty where there
-    is none. `service` is the identity of that of the middleware when the suite had ended, as it was first seen.
+    `early` are the background programs that ended before the suite, name to exit status; empty: there is no status.
+    `service` is the identity of the middleware's service when the suite had ended, as it was first seen.
     """
 
     early: Mapping[str, str]
     service: str
     output: str
-    """Of the commands that followed."""
+    """The output of the commands that followed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NeededFailed:
-    """A program that another one works for has failed; `name` says which."""
+    """A program that the awaited one needs has failed; `name` says which."""
 
     name: str
 
@@ -188,7 +188,7 @@ def wait(
 def wait(
     link: Link, folder: PurePosixPath, name: str, *, deadline_s: float, needed: Sequence[str] = ()
 ) -> Exit | NeededFailed:
-    """Wait for the end of a program, or until one of the `needed` programs has failed: seen WAIT_S later at most.
+    """Wait for the end of a program, or until one of the `needed` programs has failed, which is seen within WAIT_S.
 
     The wait blocks on a file lock, so it costs the target no CPU time. Raises DeadlineExpired when the program has not
     ended in time, TargetGone and TargetRebooted.
@@ -220,9 +220,9 @@ def _exit_status(word: str) -> int | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Supervision:
-    """The state of a started program: the exit status of its command, once it has ended, and what of it lives.
+    """The state of a started program: the exit status of its command, once it has ended, and its living processes.
 
-    `is_alone`: it has no supervisor any more. Without an exit status that was killed from outside.
+    `is_alone`: its supervisor has ended. If there is no exit status, the supervisor was killed from outside.
     """
 
     status: int | None
@@ -231,7 +231,7 @@ class Supervision:
 
 
 def look(link: Link, folder: PurePosixPath, name: str) -> Supervision:
-    """See how a program stands that was started, without waiting for it."""
+    """Read the state of a started program without waiting for it."""
     words = [line.split() for line in link.check(["sh", "-c", _LOOK, "sh", str(folder), name]).splitlines()]
     pids = set()
     for word in (word for word in words if word[:1] == ["process"] and len(word) == 2):
@@ -242,14 +242,14 @@ def look(link: Link, folder: PurePosixPath, name: str) -> Supervision:
 
 
 def end(link: Link, folder: PurePosixPath, *names: str, stages: str = _PATIENT) -> None:
-    """End those programs of a folder that still run, with everything they started; a note names what stays."""
+    """End those of these programs that still run, with everything they started; a note names what stays."""
     printed = link.check(_end(folder, names, stages), deadline_s=END_BACKGROUND_S)
     if left := _left(printed):
         link.note(f"{link.target.address}: {left}")
 
 
 def _left(printed: str) -> str:
-    """What `_END` says that stays, in words; empty: nothing does."""
+    """The processes that stay according to `_END`, in words; empty: nothing stays."""
     lines = [match for line in printed.splitlines() if (match := _LEFT.fullmatch(line))]
     names = [f"{each[2]} ({each[3]}) of {each[1]}" if each[2] else f"hidden ones of {each[1]}" for each in lines]
     if not names:
@@ -268,7 +268,7 @@ def remove(link: Link, folder: PurePosixPath) -> None:
 def give_up(link: Link, folder: PurePosixPath, names: Sequence[str] = ("*",)) -> None:
     """End these programs of a folder, or all; prevent pending starts, and remove the folder.
 
-    May be repeated after a failure. Raises TargetError where something of them cannot be ended.
+    May be repeated after a failure. Raises TargetError if some process cannot be ended.
     """
     commands = [["sh", "-c", _GIVE_UP, "sh", str(folder)], _end(folder, names)]
     if left := _left(link.check(join_commands(commands), deadline_s=END_BACKGROUND_S)):
@@ -293,9 +293,9 @@ def end_background(
 ) -> Ended:
     """End the background programs of a suite whose `programs` have ended, then run the commands `then`.
 
-    The `loads` are killed soon, the `others` get time to put right what they changed; those that stand in `first`, too,
-    are ended before the loads. `service` is the identity of that of the middleware now. Where no programs of a suite
-    measure, whatever has ended by itself has ended early.
+    The `loads` are killed soon, the `others` get time to put right what they changed. Those that are also in `first`
+    are ended before the loads. `service` is the present identity of the middleware's service. If no programs of a suite
+    measure, every background program that has ended on its own has ended early.
     """
     keep_end = ["sh", "-c", _KEEP_END, "sh", str(folder), service, " ".join(programs), *loads, *others]
     commands = [

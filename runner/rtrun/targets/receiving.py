@@ -1,4 +1,4 @@
-"""Files that come from a target: the command that prints them, plain or compressed, and what is made of that here."""
+"""Receive files from a target: the command that prints them, plain or compressed, and the copies made here."""
 
 import contextlib
 import hashlib
@@ -13,18 +13,18 @@ from rtrun.targets.address import Address, ThisMachine
 from rtrun.targets.errors import TargetError
 from rtrun.targets.shell import CHUNK_BYTES, Shell
 
-# Below, everything is there before it is known whether compressing pays: 0.3 s at 100 Mbit/s.
+# Smaller files arrive before it is known whether compressing pays: 0.3 s at 100 Mbit/s.
 LARGE_BYTES = 4 * 1024 * 1024
-# Of a large file, to measure with: its beginning plain, and as much after that compressed.
+# Two pieces of a large file are used to measure: its beginning plain, then as much compressed.
 _PIECE_BYTES = 2 * 1024 * 1024
 PIECE_S = 60.0
-# A link that is faster is not the bound: no board's processor compresses samples by gzip at this rate.
+# A faster link is not the bottleneck: no board's processor compresses samples by gzip at this rate.
 _FAST_RATE = 50e6  # bytes/s
-# So much faster it must be: the plain piece waits for the connection to come up to speed, and what helps little is not
-# worth the time of the processor of the target.
+# Compressing must be this much faster: the plain piece is slowed by the start of the connection, and a small gain is
+# not worth the target's processor time.
 _WORTH = 1.25
-# The checksums are made while the files are on their way. They are for accidents on both disks: SSH guards the way, and
-# whoever can change a file can change its checksum. So MD5 will do: SHA-256 takes a target several times as long.
+# The checksums are made while the files are sent. They detect accidents on both disks: SSH protects the transfer, and
+# whoever can change a file can change its checksum. So MD5 will do; SHA-256 takes a target several times as long.
 _READ = """
 cd "$1" || exit 1
 from=$2
@@ -42,16 +42,16 @@ _GZIP = zlib.MAX_WBITS | 16
 def reading(folder: PurePosixPath, names: Iterable[str], *, skip_bytes: int, is_compressed: bool) -> list[str]:
     """The command that prints files one after the other to standard output, and their MD5 to standard error.
 
-    So many bytes of the first file are not printed.
+    The first `skip_bytes` bytes of the first file are not printed.
     """
     script = _READ % (_COMPRESSED if is_compressed else "")
     return ["sh", "-c", script, "sh", str(folder), str(skip_bytes + 1), *names]
 
 
 def is_faster_compressed(shell: Shell, source: PurePosixPath, receiver: "Receiver") -> bool:
-    """Whether a file arrives sooner compressed than plain; not where the target has no gzip.
+    """Whether a file arrives sooner compressed than plain; False if the target has no gzip.
 
-    Its first pieces show that, and are given to the receiver. It has LARGE_BYTES at least.
+    This is measured with the file's first pieces, which go to the receiver. The file has at least LARGE_BYTES.
     """
     plain_bytes_per_s = _rate(shell, source, receiver, is_compressed=False)
     if plain_bytes_per_s > _FAST_RATE:
@@ -60,7 +60,7 @@ def is_faster_compressed(shell: Shell, source: PurePosixPath, receiver: "Receive
 
 
 def _rate(shell: Shell, source: PurePosixPath, receiver: "Receiver", *, is_compressed: bool) -> float:
-    """Bytes of the file's next piece that arrive in a second; 0 where the command fails."""
+    """Bytes per second at which the file's next piece arrives; 0 if the command fails."""
     script = _READ_PIECE + _COMPRESSED if is_compressed else _READ_PIECE
     take = receiver.take_compressed if is_compressed else receiver.take
     argv = ["sh", "-c", script, "sh", str(source), str(receiver.received_bytes + 1), str(_PIECE_BYTES)]
@@ -81,7 +81,7 @@ class Receiver:
         self._what = f"{address}: {folder}"
         self._sizes, self._destination = sizes, destination
         self.received_bytes = 0
-        """Of all files, as they are on the target."""
+        """Bytes of all files, as they are on the target (not compressed)."""
         self._total_bytes = sum(sizes.values())
         self._digests = {name: hashlib.md5(usedforsecurity=False) for name in sizes}
         self._inflation = zlib.decompressobj(_GZIP)
@@ -89,7 +89,7 @@ class Receiver:
         next(self._writer)
 
     def take(self, chunk: bytes) -> None:
-        """Write what is next. Raises TargetError when it is more than the files have, InfrastructureError."""
+        """Write the next bytes. Raises TargetError when there are more than the files have, InfrastructureError."""
         self.received_bytes += len(chunk)
         if self.received_bytes > self._total_bytes:
             raise TargetError(f"{self._what}: more than the {self._total_bytes} bytes that were expected arrived")
@@ -97,7 +97,7 @@ class Receiver:
             self._writer.send(chunk)
 
     def _writing(self) -> Generator[None, bytes, None]:
-        """Cut the chunks that are sent to it into files."""
+        """Split the chunks that are sent to it into files."""
         rest = b""
         for name, size_bytes in self._sizes.items():
             path, remaining_bytes = self._destination / name, size_bytes
@@ -111,7 +111,7 @@ class Receiver:
         yield
 
     def take_compressed(self, chunk: bytes) -> None:
-        """Write what a piece of the compressed files holds, however much that is, in pieces. Raises as `take`."""
+        """Decompress a chunk and write the content in pieces, however much it is. Raises as `take`."""
         try:
             if chunk and self._inflation.eof:
                 # Each command prints a stream of its own.
@@ -136,7 +136,7 @@ class Receiver:
 
 @contextlib.contextmanager
 def local_file(path: Path) -> Iterator[None]:
-    """A failure of a file of this machine is not one of the target."""
+    """Report a failure of a file on this machine as such, not as one of the target."""
     try:
         yield
     except OSError as error:

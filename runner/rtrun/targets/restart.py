@@ -1,4 +1,4 @@
-"""Restarting a target on purpose: so that measurements come from several boots, or from another kernel."""
+"""Restart a target on purpose, to measure on several boots or another kernel."""
 
 import time
 from collections.abc import Collection
@@ -37,10 +37,10 @@ def check_restart(target: Target, kernels: Collection[KernelName] = ()) -> None:
 
 
 def restart(link: Link, kernel: KernelName | None = None) -> None:
-    """Restart the target, into a kernel where one is named, and wait until it answers as another boot.
+    """Restart the target, into a kernel if one is named, and wait until it answers with another boot.
 
-    What was started there is gone. Raises UsageError when it cannot be restarted so, TargetError when it goes on as the
-    same boot, or does not come back. The caller checks which kernel it runs then.
+    What was started there is gone. Raises UsageError when it cannot be restarted like this, TargetError when it goes on
+    with the same boot or does not come back. The caller checks which kernel runs afterwards.
     """
     check_restart(link.target, () if kernel is None else (kernel,))
     if kernel is not None:
@@ -62,8 +62,8 @@ def restart(link: Link, kernel: KernelName | None = None) -> None:
 
 
 def _is_restarted(link: Link) -> bool:
-    """Whether the target answers as another boot than the link has seen before."""
-    # The board that the connection leads to may no longer exist: it would hang.
+    """Whether the target answers with another boot than the link has seen before."""
+    # The old connection may lead to a board that no longer exists, and would hang.
     link.drop()
     try:
         link.do(lambda _: None)

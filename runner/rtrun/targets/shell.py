@@ -1,14 +1,14 @@
-"""What a connection needs of that which runs its commands, be it SSH or this machine: one command, one stream."""
+"""The interface of SSH and of this machine to a connection: run one command, open one stream."""
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 CHUNK_BYTES = 32768
-# What a command may print. The largest that is read whole is the kernel's configuration with some 300 KiB, or what a
-# machine with a thousand CPUs says of them. A list of its words takes thirty times the memory.
+# How much a command may print. The largest outputs that are read whole are the kernel's configuration, some 300 KiB,
+# and the CPU facts of a machine with a thousand CPUs. A list of the words of an output takes thirty times the memory.
 OUTPUT_BYTES_MAX = 2 * 1024 * 1024
-# How often a command that waits for the end of its standard input is looked after.
+# How often `feed` is asked while a command waits for the end of its standard input.
 POLL_S = 0.2
 
 
@@ -26,9 +26,9 @@ class Shell(Protocol):
     ) -> tuple[int, str]:
         """Run a command, hand what it prints to `take`, and return its exit status and its standard error.
 
-        Its standard input ends after `stdin`, or goes on with what `feed` gives, which is asked every POLL_S as
-        long as the command lasts, until that gives None. What `feed` raises ends the command. Raises DeadlineExpired
-        once what was started has been killed; TargetError when `take` raises TooMuch.
+        Its standard input is `stdin`. If there is a `feed`, it is asked for more every POLL_S as long as the command
+        lasts, until it returns None. An error that `feed` raises ends the command. Raises DeadlineExpired once
+        everything that was started has been killed; TargetError when `take` raises TooMuch.
         """
 
     def open_port(self, port: int, deadline_s: float) -> AbstractContextManager[Any]:
@@ -38,14 +38,14 @@ class Shell(Protocol):
         """
 
     def interrupt(self) -> None:
-        """End what another thread waits for, as far as this can be ended."""
+        """End the wait of another thread, as far as possible."""
 
     def close(self) -> None:
         """End the connection; what runs detached on the target goes on."""
 
 
 class TooMuch(Exception):
-    """A command printed more than is taken."""
+    """A command printed more than the limit."""
 
 
 class Collector:

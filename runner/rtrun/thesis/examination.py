@@ -17,7 +17,7 @@ from rtrun.judgement.study import Study
 from rtrun.kinds.kind import MeasurementKind
 from rtrun.plan.suites import is_real_time, kind_of
 
-# Fewer runs a side do not show how much runs differ by themselves.
+# Fewer runs a side do not show how much runs differ anyway.
 LEAST_RUNS = 5
 # "Never" is confirmed when P is below it: 3689 measurements without one at 95 %.
 NEVER_BELOW = 1e-3

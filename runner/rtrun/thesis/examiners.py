@@ -1,6 +1,6 @@
 """The 19 claims of the thesis, each with its examiner: confirmed, refuted, or not decided by the data at hand.
 
-Texts and sections of the claims stand in pandaboard-2014.yml.
+The texts and sections of the claims are in pandaboard-2014.yml.
 """
 
 from collections.abc import Callable, Iterable
@@ -59,7 +59,7 @@ EXAMINERS: dict[str, Examiner] = {
 def examine_claims(study: Study) -> tuple[Examined, ...]:
     """Examine every claim, in the order of the thesis. Timing claims are never decided by emulated runs.
 
-    The claims are about a system with PREEMPT_RT: of a campaign on both kernels the runs on the other one do not count.
+    The claims are about a system with PREEMPT_RT: in a campaign on both kernels, runs on the standard one do not count.
     """
     study = _on_preempt_rt(study)
     examined = []

@@ -8,7 +8,7 @@ from rtrun.thesis.reference import message_rows, oneshot_rows
 
 
 def published_figures(study: Study) -> Table:
-    """What was measured as in 2014, beside the figures of that row; without a row where nothing was."""
+    """What was measured as in 2014, beside the figures of its published row; no row where nothing was."""
     of_table, others = oneshot_rows(), message_rows()
     matched = [(row, group) for group in study.as_in_2014 for row in (*of_table, *others) if row.is_like(group)]
     measured = sum(any(map(row.is_like, study.as_in_2014)) for row in of_table)

@@ -52,7 +52,7 @@ def _held_otherwise(run: Run, text: str) -> str | None:
 def keep_histograms(folder: Path, run: Run, output: str) -> list[str]:
     """Write the histograms of cyclictest as files that reports read, one for each thread; return their outputs.
 
-    hwlatdetect measures no series: it has none.
+    hwlatdetect measures no series, so it has none.
     """
     if run.suite != "cyclictest":
         return []

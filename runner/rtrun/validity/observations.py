@@ -1,6 +1,6 @@
 """What the sampler saw on the target while a run measured, read into types.
 
-All of it comes from the target: what is not as sample.sh and rt_tests_sampler write it is a UsageError.
+All of it comes from the target: other text than sample.sh and rt_tests_sampler write is a UsageError.
 """
 
 import math
@@ -29,25 +29,25 @@ from rtrun.targets.inspection.facts import POLICIES
 
 SAMPLER = "sampler"
 SAMPLER_OUTPUT = f"{SAMPLER}.stdout"
-# Its exit status where the disk of the target is full: the number of ENOSPC.
+# The exit status of the sampler where the disk of the target is full: the number of ENOSPC.
 DISK_FULL = "28"
 REPORTED_RIVALS = 32
 # The time between two observations.
 APART_S = 2.0
-# Those of a month. The text of a sampler is limited as well.
+# The observations of a month. The text of a sampler is limited as well.
 OBSERVATIONS_MAX = 1_500_000
-# Of an observation on the average, and of all on top: those of small boards have 200 to 1000.
+# The bytes of an observation on average, and what all may have on top; on small boards one has 200 to 1000.
 OBSERVATION_BYTES = 4096
 OUTPUT_BYTES = 8 * MIB
-# Of the state at one moment: a line for each real-time thread, each load, and a few more.
+# The lines of the state at one moment: one for each real-time thread and each load, and a few more.
 STATE_LINES_MAX = 50_000
-# CPUs in all the different sets of them that threads and loads may run on: those of a month on a machine with hundreds.
+# CPUs in all the different sets that threads and loads may run on: enough for a month on a machine with hundreds.
 SETS_CPUS_MAX = 250_000
 # Different rivals of a run; more are left out.
 RIVALS_MAX = 10_000
-# Names in a line of counts: those of a PC with many devices.
+# Names in a line of counts: enough for a PC with many devices.
 COUNTS_MAX = 512
-# In a line of the state, a name with blanks at its end.
+# A line of the state is split at most so often: it may end with a name that has blanks.
 _SPLIT_WORDS = 24
 _COUNTS = re.compile(r"counts( [A-Za-z0-9_.:-]{1,64}=\d{1,15})*", re.ASCII)
 
@@ -68,7 +68,7 @@ class Observation:
     ticks_by_kind: tuple[int, ...]
     """Ticks of all CPUs since the boot: user, nice, system, idle, iowait, irq, softirq, steal (proc(5))."""
     counts: str = ""
-    """What was counted since the observation before, as ``name=number name=number``."""
+    """What was counted since the previous observation, as ``name=number name=number``."""
     threads: Mapping[str, tuple[ThreadState, ...]] = field(default_factory=dict)
     loads: Mapping[str, tuple[int, frozenset[int]]] = field(default_factory=dict)
     rivals: frozenset[Rival] = frozenset()
@@ -82,7 +82,7 @@ class Observation:
 
     @property
     def busy(self) -> int:
-        """Those that were not idle."""
+        """The ticks that were not idle."""
         return self.ticks - sum(self.ticks_by_kind[3:5])
 
 
@@ -92,7 +92,7 @@ def read_text(path: Path) -> str:
 
 
 def output_bytes_max(lifetime_s: float) -> int:
-    """The largest size of what a sampler prints that lives so long that is believable, in bytes."""
+    """The largest believable size, in bytes, of what a sampler prints that runs for so long."""
     return OUTPUT_BYTES + math.ceil(lifetime_s / APART_S) * OBSERVATION_BYTES
 
 
@@ -106,7 +106,7 @@ def observations_of(folder: Path) -> list[Observation]:
 
 
 def _whole_lines(stream: TextIO) -> Iterator[str]:
-    """Yield the lines of a text that may be large; one that is not whole is none."""
+    """Yield the lines of a text that may be large, without a last line that is cut off. Raises UsageError."""
     number = 0
     while (line := stream.readline(LINE_CHARACTERS_MAX + 1)).endswith("\n"):
         number += 1
@@ -144,7 +144,7 @@ def read_observations(stream: TextIO) -> list[Observation]:
 
 
 class _Known:
-    """The sets of CPUs and the rivals of all observations: those that are alike are kept once."""
+    """The sets of CPUs and the rivals of all observations: equal ones are kept once."""
 
     def __init__(self) -> None:
         self._sets: dict[str, frozenset[int]] = {"-": frozenset()}
@@ -152,7 +152,7 @@ class _Known:
         self._rivals: dict[Rival, Rival] = {}
 
     def cpus(self, word: str) -> frozenset[int]:
-        """The set of CPUs of a list. Raises ValueError for no such list, and where there are too many."""
+        """The set of CPUs of a list. Raises ValueError for a text that is no list, and for too many CPUs."""
         if word not in self._sets:
             cpus = self._sets[word] = frozenset(cpu_set(word))
             self._cpus += len(cpus) + len(word)
@@ -161,7 +161,7 @@ class _Known:
         return self._sets[word]
 
     def rival(self, rival: Rival) -> Rival | None:
-        """The same as is known; None where there is no room for another one."""
+        """The known rival that equals this one; None where there is no room for another one."""
         if rival not in self._rivals and len(self._rivals) >= RIVALS_MAX:
             return None
         return self._rivals.setdefault(rival, rival)
@@ -207,7 +207,7 @@ def _complete(observation: Observation, block: list[str], until: list[str], know
             governor = () if words[1] == "-" else tuple(dict.fromkeys(words[1].split(",")))
         elif words[0] == "sched_rt_runtime_us":
             runtime_us = None if words[1] == "-" else whole_number(words[1], lowest=-1, highest=RT_RUNTIME_MAX_US)
-    # Runs that were measured before 2026-11-23 do not tell.
+    # Runs that were measured before 2026-11-23 do not have it.
     until_s = _uptime_s(until[0]) if until else observation.uptime_s
     return replace(
         observation,
@@ -243,14 +243,14 @@ def _uptime_s(word: str) -> float:
 
 
 def _readings(word: str, lowest: int, highest: int) -> tuple[int, ...]:
-    """The lowest and the highest that sensors say, without those that are broken."""
+    """The lowest and the highest reading of the sensors, without broken ones."""
     numbers = [] if word == "-" else [whole_number(number) for number in word.split(",")]
     known = [number for number in numbers if lowest <= number <= highest]
     return tuple(sorted({min(known), max(known)})) if known else ()
 
 
 def while_measuring(observations: Iterable[Observation], *, is_attached: bool = False) -> list[Observation]:
-    """The observations in which the suite had a thread; of a run that observes other programs all of them."""
+    """The observations in which the suite had a thread; all of them for a run that observes other programs."""
     return [each for each in observations if each.threads or is_attached]
 
 
@@ -266,9 +266,10 @@ def busy_percent(observations: Sequence[Observation]) -> float | None:
 def summarize(
     observations: Iterable[Observation], states: Iterable[ThreadState], *, is_attached: bool = False
 ) -> Observed:
-    """What run.json keeps: every value that was seen while the suite measured, of loads the fewest processes.
+    """What run.json keeps: every value seen while the suite measured, and the fewest processes of each load.
 
-    `states` are those of the measuring threads. A run that observes other programs has no rivals: they would be some.
+    `states` are those of the measuring threads. A run that observes other programs has no rivals: the observed programs
+    would be among them.
     """
     seen, states = while_measuring(observations, is_attached=is_attached), list(states)
     names = sorted({name for each in seen for name in each.loads})
@@ -292,7 +293,7 @@ def summarize(
 
 
 def _union(sets: Iterable[frozenset[int]]) -> list[int]:
-    """What is in any of many sets, of which most are alike."""
+    """The union of many sets, most of which are equal."""
     return sorted(frozenset[int]().union(*set(sets)))
 
 

@@ -60,9 +60,9 @@ def judge(
 ) -> RunOutcome:
     """Say what became of a run from the files in `folder`, and why: the first thing that went wrong.
 
-    `refused` are files that were not taken, or not whole, name to reason; `ended_early` are background programs that
-    ended before it, name to exit status. `is_timed`: times mean something on the target; a publisher that misses its
-    rate makes the run invalid then.
+    `refused` has the files that were not taken, or not whole, with the reason; `ended_early` the background programs
+    that ended before the run, with their exit status. `is_timed`: times mean something on the target, so a publisher
+    that misses its rate makes the run invalid.
     """
     records: Mapping[str, Record] = {}
     observations: list[Observation] = []
@@ -92,7 +92,7 @@ def judge(
     if is_disk_full := ended_early.get(SAMPLER) == DISK_FULL:
         cut = "the disk of the target was full (df -h)"
         ended_early = {name: exit_status for name, exit_status in ended_early.items() if name != SAMPLER}
-    # What is seen to be wrong in the part that was taken comes first; that nobody saw anything says too little.
+    # An error seen in the part that was taken comes first: it says more than that nobody saw the rest.
     unrelated: UnrelatedEnd | None = None
     if cut and (wrong is None or not while_measuring(observations, is_attached=is_attached)):
         wrong = f"nobody saw what was in effect to the end: {cut}"
@@ -184,7 +184,7 @@ def _said_by_others(folder: Path, outputs: Sequence[str]) -> str | None:
 def _of_outputs(
     folder: Path, run: Run, outputs: Sequence[str], refused: Mapping[str, str]
 ) -> tuple[Mapping[str, Record], tuple[RunStatus, str] | None]:
-    """The json of outputs up to the first that something is wrong with, by output, and what that is."""
+    """The json of outputs, by output, up to the first one with an error, and that error."""
     records: dict[str, Record] = {}
     if suites.suite(run.suite).is_baseline:
         printed = f"{run.suite}.stdout"
@@ -225,9 +225,9 @@ def _of_outputs(
 def find_count_mismatch(record: Record, logs: Iterable[Log] = ()) -> str | None:
     """Say what does not add up in a record and the logs beside it, or None when all of it does.
 
-    What was asked for was measured, did not fire, or is missing; of an incomplete record there may be less (never more,
-    as `read_samples` has it).
-    A message that came twice was received once, and counts as duplicate apart.
+    Everything asked for was measured, did not fire, or is missing; an incomplete record may have less (never more, as
+    `read_samples` checks).
+    A message that came twice was received once; the duplicate is counted separately.
     """
     counts = record.counts
     if record.complete and counts.known != counts.asked:

@@ -45,7 +45,7 @@ def _list(cpus: suites.Value) -> list[int] | None:
 def measuring_threads(
     run: Run, observations: Sequence[Observation], records: Mapping[str, Record]
 ) -> Iterator[ThreadState]:
-    """The states of the threads that measured: those observed, and those that the suite's own json tells, by output."""
+    """The states of the threads that measured: those observed, and those in the suite's own json, by output."""
     for _, _, threads in _counted(run, observations, records):
         yield from threads
     for record in records.values():
@@ -68,7 +68,7 @@ def _named_threads(record: Record) -> list[tuple[str, ThreadState]]:
 def find_violation(
     run: Run, background: Sequence[Background], observations: Sequence[Observation], records: Mapping[str, Record]
 ) -> str | None:
-    """Say what was not in effect as asked for, the first such thing, or None. `records` by output."""
+    """Say the first thing that was not in effect as asked for, or None. `records` are by output."""
     asked = requested(run, background)
     seen = while_measuring(observations, is_attached=run.subject.is_observed)
     return (
@@ -120,7 +120,7 @@ def _wrong_threads(
 
 
 def _wrong_facts(run: Run, records: Mapping[str, Record]) -> str | None:
-    """What a middleware says of itself, where a run asks for it."""
+    """Say which fact of a middleware is not as the run asks for, or None."""
     for output, record in records.items():
         for key, fact in record.in_effect.facts.items():
             asked = run.parameters.get(key)
@@ -130,7 +130,7 @@ def _wrong_facts(run: Run, records: Mapping[str, Record]) -> str | None:
 
 
 def _uncounted(run: Run, records: Mapping[str, Record]) -> str | None:
-    """A program that did not count allocations, where a run asks for that."""
+    """Say which program did not count allocations though the run asks for it, or None."""
     for output, record in records.items() if run.parameters.get(suites.ALLOCATIONS) else ():
         if record.costs is None or record.costs.allocations is None:
             return f"{output}: allocations were not counted: the library for that was not preloaded"
@@ -231,10 +231,10 @@ def _words(policy: str | None, priority: int | None, cpus: list[int] | None) -> 
 
 
 def find_unseen_option(run: Run, understood: Mapping[str, suites.Value]) -> str | None:
-    """Say which option of a run nobody can see in effect, or None. `understood` is what the program says of itself.
+    """Say which option of a run nobody can see in effect, or None. `understood` is what the program reports.
 
-    The programs of 2014 go on without a word when they are given an option that they do not know, so one that is not
-    among `understood` may have done nothing. Policy, priority and CPUs are observed from outside.
+    The programs of 2014 ignore unknown options without a word, so an option that is not among `understood` may have
+    done nothing. Policy, priority and CPUs are observed from outside.
     """
     for name, value in run.parameters.items():
         option = suites.options().get(name)

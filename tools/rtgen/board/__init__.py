@@ -1,1 +1,1 @@
-"""The emulated board: an ARM board in QEMU made of Debian's packages, and the sysroot of its programs."""
+"""The emulated board: an ARM board in QEMU made from Debian packages, and the sysroot for its programs."""

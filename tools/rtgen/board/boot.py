@@ -1,4 +1,4 @@
-"""What every card starts, whatever loads it."""
+"""What every card starts, whatever boot loader it has."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from pathlib import Path
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KernelBoot:
-    """Files of the kernel and its initial RAM disk, the kernel's arguments, and its device tree where it needs one."""
+    """The files of a kernel and its initial RAM disk, the kernel's arguments, and the device tree if it needs one."""
 
     kernel: Path
     ram_disk: Path
@@ -17,9 +17,9 @@ class KernelBoot:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BootFiles:
-    """What a boot partition holds: the file that firmware reads at `path`, one for each kernel by its name, and others.
+    """The content of a boot partition: the file that firmware reads at `path`, one per kernel by name, and others.
 
-    The kernel of the file that stands at `path` is started. `others` are the other files by their paths.
+    The file at `path` decides which kernel is started. `others` are the other files by their paths.
     """
 
     path: str

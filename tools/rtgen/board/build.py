@@ -1,4 +1,4 @@
-"""Put kernel, initial RAM disk and root file system of a machine together, and keep the board by content.
+"""Combine kernel, initial RAM disk and root file system of a machine, and keep the board by content.
 
 A board for QEMU is a folder with board.json, a card for real hardware a folder with the image of the card.
 """
@@ -19,7 +19,7 @@ from rtgen.board.machine import Machine, Qemu, architectures, find
 from rtgen.kconfig import data as kconfig
 
 SCHEMA = 2
-# What --kernel takes beside the versions of kernels whose source is pinned.
+# The values of --kernel, besides the versions of kernels with a pinned source.
 KINDS = ("debian", "both", "built")
 HERE = Path(__file__).parent
 
@@ -27,10 +27,10 @@ HERE = Path(__file__).parent
 def build(name: str, place: Path, kernel: str = "debian", login: Path | None = None, suite: str | None = None) -> Path:
     """Build the board of this machine; return `place`/<name>, a link to it in the cache.
 
-    Its packages are those of Debian's `suite` (None: this machine's own). Its `kernel` is Debian's with PREEMPT_RT
-    (``debian``), that and Debian's standard one (``both``), or that of `rtgen kernel build`: its first version
-    (``built``) or the one that is named, as ``7.2``. `login` is a file of public keys that may log in, for a card only.
-    The first build takes about a minute, and that of the kernel; an unchanged board is taken from the cache. Raises
+    Its packages come from Debian's `suite` (None: the suite of this machine). Its `kernel` is Debian's with PREEMPT_RT
+    (``debian``), both that and Debian's standard one (``both``), or one from `rtgen kernel build`: the first version
+    (``built``) or a named one, such as ``7.2``. `login` is a file of public keys that may log in, for a card only. The
+    first build takes about a minute, plus the build of the kernel; an unchanged board is taken from the cache. Raises
     UsageError for an unknown machine, suite or kernel, a file without keys, or when this user may not unpack packages;
     InfrastructureError when a package or tool fails.
     """
@@ -62,7 +62,7 @@ def assemble(
     source: debian.PackageSource,
     login: Path | None = None,
 ) -> Path:
-    """The folder of a board in the cache: this machine with these kernels by name, of which it starts the first.
+    """The folder of a board in the cache: this machine with these kernels by name; it starts the first one.
 
     Its packages come from `source`.
     """
@@ -88,7 +88,7 @@ def ram_disk(machine: Machine, kernel: KernelFiles, root: Path) -> bytes:
 
 
 def root_file_system(machine: Machine, kernels: Mapping[str, KernelFiles], source: debian.PackageSource) -> Path:
-    """The folder of `disk.build` in the cache, which machines with the same packages, kernels and modules share."""
+    """The folder of `disk.build` in the cache; machines with the same packages, kernels and modules share it."""
     recipe = [HERE / name for name in ("disk.py", "kernel.py", "packages.yml", "applets.txt", "root")]
     names = disk.package_names(machine, source.release)
     identity = [repr(source), machine.architecture, *names, *machine.modules]
@@ -103,7 +103,7 @@ def root_file_system(machine: Machine, kernels: Mapping[str, KernelFiles], sourc
 def link_board(
     name: str, machine: Machine, qemu: Qemu, kernels: Mapping[str, KernelFiles], root: Path, folder: Path
 ) -> None:
-    """Write the board of a machine in QEMU into an empty folder. What others share is linked, not copied."""
+    """Write the board of a machine in QEMU into an empty folder. Shared files are linked, not copied."""
     for file in (disk.IMAGE, disk.KEY, f"{disk.KEY}.pub"):
         os.link(root / file, folder / file)
     entries = boot_entries(machine, kernels)
@@ -120,7 +120,7 @@ def link_board(
 
 
 def boot_entries(machine: Machine, kernels: Mapping[str, KernelFiles]) -> dict[str, dict[str, Any]]:
-    """What board.json says of each kernel: its files in the board's folder. Those of the first have plain names."""
+    """The entry of each kernel in board.json: its files in the board's folder. Those of the first have plain names."""
     entries: dict[str, dict[str, Any]] = {}
     for name, kernel in kernels.items():
         mark = f"-{name}" if entries else ""

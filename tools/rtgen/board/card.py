@@ -1,4 +1,4 @@
-"""The image of a card or stick for real hardware, with which nobody but its owner can log in."""
+"""The image of a card or stick for real hardware; only its owner can log in."""
 
 import shutil
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from rtgen.process import run
 IMAGE = "card.img"
 HOST_KEY = "/etc/ssh/ssh_host_ed25519_key"
 LOGIN_KEYS = "/root/.ssh/authorized_keys"
-# Thousands of keys.
+# Enough for thousands of keys.
 LOGIN_BYTES_MAX = 2**20
 MIB = 2**20
 # Room for several kernels, and for a copy of one while boot-kernel replaces what is started: some 45 MB each with UEFI
@@ -43,9 +43,9 @@ def build(
 ) -> None:
     """Write card.img into an empty folder, from the root file system in `root`, a folder of `disk.build`.
 
-    It starts the first of the kernels; where it has several, its command boot-kernel chooses another one. `login` is a
-    file of public keys that may log in; without it a key made for this image lies beside it. U-Boot or the stub for
-    UEFI comes from `source`.
+    It starts the first kernel; with several kernels, its command boot-kernel selects another one. `login` is a file of
+    public keys that may log in; without it, a key made for this image is put next to it. U-Boot or the stub for UEFI
+    comes from `source`.
     """
     if login is None:
         for name in (disk.KEY, f"{disk.KEY}.pub"):
@@ -77,7 +77,7 @@ def build(
 
 
 def files_by_path(boot_files: BootFiles, work: Path) -> dict[str, Path]:
-    """The files of a boot partition by their paths on it, with those that the board's command boot-kernel needs."""
+    """The files of a boot partition by their paths on it, including those that the command boot-kernel needs."""
     first, *rest = boot_files.by_kernel.values()
     files = {**boot_files.others, boot_files.path: first}
     if rest:
@@ -88,9 +88,9 @@ def files_by_path(boot_files: BootFiles, work: Path) -> dict[str, Path]:
 
 
 def write_card(image: Path, table: Table, files: dict[str, Path], root: Path) -> None:
-    """Write the image of a whole card: a FAT partition with files, by their paths on it, and a root file system."""
+    """Write the image of a whole card: a FAT partition with files by their paths, and a root file system."""
     root_mib = -(-root.stat().st_size // MIB)
-    # The last MiB is for the second partition table of a GPT.
+    # The last MiB is for the backup partition table of a GPT.
     with image.open("wb") as stream:
         stream.truncate((START_MIB + BOOT_MIB + root_mib + 1) * MIB)
     layout = [f"label: {table}", f"start={START_MIB}MiB, size={BOOT_MIB}MiB, {BOOT_TYPE[table]}"]
@@ -102,7 +102,7 @@ def write_card(image: Path, table: Table, files: dict[str, Path], root: Path) ->
     run(["mkfs.vfat", "-F", "32", "-n", "BOOT", boot])
     folders = {Path()}
     for name, file in files.items():
-        # Not all at first: a file that comes first in `files` stands first in its folder.
+        # One at a time, so that the first file in `files` is the first in its folder.
         for folder in reversed(Path(name).parents):
             if folder not in folders:
                 run(["mmd", "-i", boot, f"::/{folder}"])
@@ -114,12 +114,12 @@ def write_card(image: Path, table: Table, files: dict[str, Path], root: Path) ->
 
 
 def set_keys(system: Path, login: Path | None) -> None:
-    """Take the host key out of a root file system, as each board makes its own, and put keys for logging in."""
+    """Remove the host key from a root file system, as each board makes its own, and add keys for logging in."""
     commands = [f"rm {HOST_KEY}", f"rm {HOST_KEY}.pub"]
     if login is not None:
         commands += [f"rm {LOGIN_KEYS}", f"write {login.name} {LOGIN_KEYS}", f"sif {LOGIN_KEYS} mode 0100600"]
         commands += [f"sif {LOGIN_KEYS} {owner} 0" for owner in ("uid", "gid")]
-    # In the folder of the keys, as debugfs takes no path with blanks.
+    # In the folder of the keys, as debugfs accepts no path with blanks.
     place = login.parent if login is not None else None
     run(["debugfs", "-w", "-f", "-", system], stdin="".join(f"{line}\n" for line in commands).encode(), folder=place)
     # debugfs ends with status 0 whatever happens.
@@ -135,7 +135,7 @@ def file_system_id(system: Path) -> str:
 
 
 def check_login(login: Path) -> None:
-    """Raise UsageError if this is no file of public keys."""
+    """Raise UsageError if this is not a file of public keys."""
     text = read_text(login, max_bytes=LOGIN_BYTES_MAX)
     if "PRIVATE KEY" in text:
         raise UsageError(f"{login}: a private key, give the public one: {login}.pub")

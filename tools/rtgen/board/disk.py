@@ -1,4 +1,4 @@
-"""The root file system of a board: Debian's packages, files that their scripts would make, keys."""
+"""The root file system of a board: Debian packages, files that their scripts would make, keys."""
 
 import os
 import shutil
@@ -13,7 +13,7 @@ from rtgen.board.machine import Machine
 from rtgen.board.packages import packages, unpacked
 from rtgen.process import run
 
-# Our own files, with the paths that they have on the board.
+# Our own files, with their paths on the board.
 OVERLAY = Path(__file__).with_name("root")
 # Tools that busybox provides if no package does.
 APPLETS = Path(__file__).with_name("applets.txt")
@@ -25,7 +25,7 @@ IMAGE, KEY, HOST_KEY, LIST, BUSYBOX = "root.img", "id_ed25519", "host_key.pub", 
 
 
 def package_names(machine: Machine, release: str) -> list[str]:
-    """The packages of a machine's root file system in a release of Debian, without their dependencies."""
+    """The packages of a machine's root file system in a Debian release, without their dependencies."""
     known = packages()
     card = known.card if machine.medium is not None else {}
     return sorted([*known.root, *known.releases[release].root, *card])
@@ -98,12 +98,13 @@ def add_keys(tree: Path, folder: Path) -> None:
 
 
 def add_bytecode(tree: Path, source: debian.PackageSource) -> None:
-    """Compile the board's Python modules, which takes the emulated CPU a minute, by a Python of the board's version.
+    """Compile the board's Python modules with its Python version; the emulated CPU would take a minute.
 
-    Where that is not this one, the release's own for this machine's architecture is unpacked and run where it lies.
+    If this Python has another version, that of the release for this machine's architecture is unpacked and run in
+    place.
     """
     (library,) = (tree / "usr/lib").glob("python3.*")
-    # Unchecked: nothing on the board changes the modules, but the times of their files may change.
+    # Unchecked: nothing on the board changes the modules, but the time stamps of their files may change.
     command = ["-m", "compileall", "-qq", "--invalidation-mode", "unchecked-hash", "-s", str(tree), "-p", "/"]
     command += [str(library), str(tree / "usr/lib/python3/dist-packages")]
     if library.name == f"python{sys.version_info.major}.{sys.version_info.minor}":

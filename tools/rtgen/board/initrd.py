@@ -30,7 +30,7 @@ def entries(busybox: bytes, modules: dict[str, bytes]) -> Iterator[CpioEntry]:
     """The files of the RAM disk."""
     for folder in ("bin", "dev", "lib", "proc", "root", "sys"):
         yield CpioEntry(folder, stat.S_IFDIR | 0o755)
-    # The kernel opens it for the first program, before a file system is mounted.
+    # The kernel opens it for the first program, before any file system is mounted.
     yield CpioEntry("dev/console", stat.S_IFCHR | 0o600, device=(5, 1))
     yield CpioEntry("bin/busybox", stat.S_IFREG | 0o755, busybox)
     yield CpioEntry("init", stat.S_IFREG | 0o755, INIT.read_bytes())

@@ -39,11 +39,11 @@ class KernelFiles:
         raise InfrastructureError(f"the kernel {self.release} has no device tree {name}")
 
     def files_of(self, modules: list[str]) -> list[str]:
-        """Files below `modules` to load, in order, for these names; as `module_files` does."""
+        """Files below `modules` to load for these names, in order; see `module_files`."""
         return module_files((self.modules / "modules.dep").read_text(encoding="utf-8"), modules)
 
     def loadable(self, modules: list[str]) -> dict[str, bytes]:
-        """The files of `files_of` by name, unpacked: Debian 13 packs modules, which busybox's insmod cannot read."""
+        """The files of `files_of` by name, decompressed: Debian 13 compresses modules, and busybox's insmod cannot."""
         contents = {}
         for file in self.files_of(modules):
             packed = (self.modules / file).read_bytes()
@@ -73,8 +73,8 @@ def debian_kernel(package: str, machine: Machine, source: debian.PackageSource) 
 def built_kernel(board: str, version: str | None = None) -> KernelFiles:
     """The kernel of `rtgen kernel build` for this board, from the cache or built (five minutes on two idle cores).
 
-    Without a version it is the first that is pinned. Raises UsageError when there is no fragment for this board, no
-    source of this version, or the options do not hold.
+    Without a version, it is the first pinned one. Raises UsageError when there is no fragment for this board, no source
+    for this version, or the options do not hold.
     """
     data = kconfig.load()
     machine = data.fragment_of(board)
@@ -93,8 +93,8 @@ def built_kernel(board: str, version: str | None = None) -> KernelFiles:
 def module_files(modules_dep: str, names: list[str]) -> list[str]:
     """The files of the named modules in the order of loading: dependencies first, each file once.
 
-    `modules_dep` is the text of depmod's modules.dep; files are relative to its folder. A name that is not in it is
-    taken for one that is built into the kernel.
+    `modules_dep` is the text of depmod's modules.dep; files are relative to its folder. A name that is missing there
+    counts as built into the kernel.
     """
     dependencies_of: dict[str, list[str]] = {}
     by_name: dict[str, str] = {}

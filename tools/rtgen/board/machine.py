@@ -1,4 +1,4 @@
-"""Machines that a board can be built for, each read from a file of its own in machines/."""
+"""Machines that a board can be built for, each with its own file in machines/."""
 
 import functools
 from pathlib import Path
@@ -20,7 +20,7 @@ Name = Annotated[
 
 
 class DebianArchitecture(Config):
-    """Debian's architecture: the prefix of its compiler, the processor as ``uname -m`` names it, UEFI's name for it."""
+    """A Debian architecture: the prefix of its compiler, the processor as in ``uname -m``, and UEFI's name for it."""
 
     triplet: Name
     processor: Name
@@ -30,7 +30,7 @@ class DebianArchitecture(Config):
 class Qemu(Config):
     """How QEMU emulates a machine: its program and arguments, and the devices of the disk and the network.
 
-    `kvm` are further arguments with which KVM runs the machine on a host of the same processor; None: it cannot.
+    `kvm` are further arguments that run the machine with KVM on a host with the same processor; None: not possible.
     """
 
     binary: Name
@@ -43,7 +43,7 @@ class Qemu(Config):
 class UBoot(Config):
     """Debian's package of U-Boot, its files that the ROM and U-Boot look for on a card, the kernel's device tree.
 
-    `suite` is the release of Debian that has it; None: that of the board.
+    `suite` is the Debian release with the package; None: the release of the board.
     """
 
     package: Name
@@ -55,11 +55,11 @@ class UBoot(Config):
 class Machine(Config):
     """What a board is made of.
 
-    `kernel` is Debian's package of a kernel with PREEMPT_RT, `standard_kernel` of one without, `dtb` the file name of
-    the kernel's device tree (None where the machine provides one), `cmdline` the kernel's arguments except the root
-    file system, `modules` what the initial RAM disk loads, in this order and after its dependencies, each with the
-    reason. A machine either runs in QEMU or starts from a medium that is written to a card or stick; `medium` says what
-    looks for the kernel on it.
+    `kernel` is Debian's package of a kernel with PREEMPT_RT, `standard_kernel` that of a kernel without it. `dtb` is
+    the file name of the kernel's device tree (None if the machine provides one), `cmdline` the kernel's arguments
+    except the root file system. `modules` are loaded by the initial RAM disk, in this order and after their
+    dependencies, each with the reason. A machine either runs in QEMU or starts from a card or stick; `medium` names
+    what looks for the kernel there.
     """
 
     summary: Text
@@ -91,7 +91,7 @@ def architectures() -> dict[str, DebianArchitecture]:
 
 
 def machines(folder: Path = HERE / "machines") -> dict[str, Machine]:
-    """Every machine by name, one the default. Raises UsageError, naming the file, for one that makes no sense."""
+    """Every machine by name, one of them the default. Raises UsageError, naming the file, for an invalid one."""
     known = {path.stem: read_machine(path) for path in sorted(folder.glob("*.yml"))}
     defaults = [name for name, machine in known.items() if machine.default]
     if len(defaults) != 1:
@@ -101,7 +101,7 @@ def machines(folder: Path = HERE / "machines") -> dict[str, Machine]:
 
 
 def read_machine(path: Path) -> Machine:
-    """Read the file of a machine. Raises UsageError that names the file, the key and what is right."""
+    """Read the file of a machine. Raises UsageError that names the file, the key and what is allowed."""
     machine = load(path, Machine)
     known = architectures()
     if machine.architecture not in known:
@@ -120,5 +120,5 @@ def find(name: str) -> Machine:
 
 
 def default_machine() -> str:
-    """The name of the machine that is built when none is named."""
+    """The machine that is built when none is named."""
     return next(name for name, machine in machines().items() if machine.default)

@@ -1,4 +1,4 @@
-"""The Debian packages that the board and the sysroot are made of, and what differs by release: packages.yml."""
+"""The Debian packages for the board and the sysroot, and the differences between releases: packages.yml."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,14 +18,14 @@ Reason = Annotated[str, StringConstraints(min_length=1)]
 
 
 class DebianRelease(Config):
-    """What differs in a release of Debian: packages of the root file system, flags for compiling its programs."""
+    """The specifics of a Debian release: packages of the root file system, flags for compiling its programs."""
 
     root: dict[str, Reason]
     flags: list[str]
 
 
 class DebianPackages(Config):
-    """packages.yml: the name of each package, or a pattern of files that are left out, and the reason."""
+    """packages.yml: each package name, or pattern of files to leave out, with the reason."""
 
     root: dict[str, Reason]
     card: dict[str, Reason]
@@ -40,7 +40,7 @@ def packages() -> DebianPackages:
 
 
 def source(suite: str | None) -> debian.PackageSource:
-    """Where a board's packages come from, for Debian's suite of this name (None: this machine's own).
+    """Where a board's packages come from, for Debian's suite of this name (None: the suite of this machine).
 
     Raises UsageError for a suite that packages.yml does not know.
     """
@@ -52,7 +52,7 @@ def source(suite: str | None) -> debian.PackageSource:
 
 
 def file_of(package: str, file: str, architecture: str, source: debian.PackageSource) -> Path:
-    """A file of a package by its path in it. Raises InfrastructureError when there is none, and as `unpacked` does."""
+    """A file of a package, by its path in the package. Raises InfrastructureError if missing, or as `unpacked`."""
     path = unpacked([package], architecture, source) / file
     if not path.is_file():
         raise InfrastructureError(f"{package} of Debian {source.release} ({architecture}) has no file {file}")
@@ -62,8 +62,8 @@ def file_of(package: str, file: str, architecture: str, source: debian.PackageSo
 def unpacked(names: list[str], architecture: str, source: debian.PackageSource, dropped: Iterable[str] = ()) -> Path:
     """The folder of unpacked packages and their dependencies, from the cache or downloaded. Raises as `extract`.
 
-    It is not to be changed: what is made of these packages is made in a copy. A kernel in it has its modules.dep, which
-    the package's script would have made.
+    It must not be changed: copy it to modify the files. A kernel in it has its modules.dep, which the package's script
+    would have made.
     """
     dropped = sorted(dropped)
 

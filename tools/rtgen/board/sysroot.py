@@ -25,11 +25,11 @@ def build(architecture: str, source: debian.PackageSource) -> Path:
 
 
 def search_inside(folder: Path) -> None:
-    """Let the CMake files of the packages find libraries and headers in the sysroot alone.
+    """Make the packages' CMake files find libraries and headers only in the sysroot.
 
-    Those of catkin packages name /usr/lib and forbid CMake to look for it below the sysroot, so on a host of the
-    board's architecture they would find the host's libraries, which may be of another release. Those that CMake wrote
-    for a package that was configured with absolute paths have /usr in them.
+    The CMake files of catkin packages name /usr/lib and forbid CMake to look for it below the sysroot. On a host with
+    the board's architecture they would find the host's libraries, possibly of another release. CMake files of packages
+    that were configured with absolute paths contain /usr.
     """
     for file in folder.rglob("*.cmake"):
         text = inside = file.read_text(encoding="utf-8", errors="surrogateescape")

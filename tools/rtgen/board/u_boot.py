@@ -1,8 +1,8 @@
-"""What a card needs that starts by U-Boot: Debian's ready-made U-Boot, kernel, device tree and RAM disk as files.
+"""What a card needs to start with U-Boot: Debian's ready-made U-Boot, kernel, device tree and RAM disk as files.
 
-Where they have to be, for an OMAP4: the ROM reads MLO from the root folder of a FAT partition, the active primary one
-of an MBR. TI's manuals of related SoCs say so ("MMC/SD Read Sector Procedure in FAT Mode" in that of the AM335x,
-SPRUH73); that of the OMAP4460, SWPU235, was not at hand. MLO is U-Boot's SPL and reads u-boot.img from there
+Their places for an OMAP4: the ROM reads MLO from the root folder of a FAT partition, the active primary partition of an
+MBR. TI's manuals of related SoCs state this ("MMC/SD Read Sector Procedure in FAT Mode" in that of the AM335x,
+SPRUH73); that of the OMAP4460, SWPU235, was not available. MLO is U-Boot's SPL and reads u-boot.img from there
 (CONFIG_SPL_FS_LOAD_PAYLOAD_NAME). U-Boot's distro_bootcmd looks for extlinux/extlinux.conf on the bootable partition
 (doc/develop/distro.rst of U-Boot).
 """
@@ -30,7 +30,7 @@ label linux
 def boot_files(
     architecture: str, u_boot: UBoot, source: debian.PackageSource, boots: Mapping[str, KernelBoot], work: Path
 ) -> BootFiles:
-    """The files of the boot partition: a configuration for each kernel; those that U-Boot's package has come first.
+    """The files of the boot partition: those of U-Boot's package first, then a configuration for each kernel.
 
     The files of the first kernel have plain names.
     """

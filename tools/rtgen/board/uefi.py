@@ -1,8 +1,8 @@
-"""What a card needs that starts by UEFI: one EFI file with kernel, RAM disk and command line in it.
+"""What a card needs to start with UEFI: one EFI file that contains kernel, RAM disk and command line.
 
-The EFI file is systemd's stub with the parts added as sections (UAPI group, "Unified Kernel Image"). Firmware finds it
-on a medium without boot entries by its path, ``EFI/BOOT/BOOT<architecture>.EFI`` (UEFI specification 2.10, 3.5.1.1), on
-a partition of type EFI system with a FAT file system.
+The EFI file is systemd's stub with the parts added as sections (UAPI group, "Unified Kernel Image"). On a medium
+without boot entries, firmware finds it by its path, ``EFI/BOOT/BOOT<architecture>.EFI`` (UEFI specification 2.10,
+3.5.1.1), on a FAT partition of type EFI system.
 """
 
 import struct
@@ -47,7 +47,7 @@ def write_efi_file(file: Path, stub: Path, triplet: str, parts: dict[str, Path])
 
 
 def image_end(program: bytes) -> int:
-    """The first free address behind a program in PE format: ImageBase + SizeOfImage of its optional header (PE32+)."""
+    """The first free address after a program in PE format: ImageBase + SizeOfImage of its optional header (PE32+)."""
     (header,) = struct.unpack_from("<I", program, 0x3C)
     optional = header + 24
     (base,) = struct.unpack_from("<Q", program, optional + 24)
@@ -56,5 +56,5 @@ def image_end(program: bytes) -> int:
 
 
 def aligned(address: int) -> int:
-    """The address, or the next one at which a section may begin."""
+    """The address, or the next one where a section may begin."""
     return -(-address // SECTION_ALIGNMENT) * SECTION_ALIGNMENT

@@ -1,4 +1,4 @@
-"""rtgen flash: an image onto a card or stick."""
+"""rtgen flash: write an image to a card or stick."""
 
 import argparse
 import sys

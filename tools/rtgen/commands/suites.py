@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the suites, say what of them could not be built, and print their folder, or what a target built with."""
+    """Build the suites; print what could not be built, and their folder or what a target built with."""
     import json
 
     from rtfiles.errors import UsageError

@@ -53,13 +53,13 @@ class Concern(config.Config):
 Architecture = Literal["arm", "arm64", "x86-64"]  # the keys of tree.ARCHITECTURES
 
 
-# How many releases there were from 3.0 up to X.0. From 6 on it is taken for granted that each major version has 20.
+# Number of releases from 3.0 up to X.0. From 6 on, each major version is assumed to have 20.
 _BEFORE = {3: 0, 4: 20, 5: 41, 6: 61}
 _OF_A_MAJOR = 20
 
 
 class KernelVersion(config.Config):
-    """A kernel version: the symbol that enables PREEMPT_RT, and the patch series for where mainline lacks it."""
+    """A kernel version: the symbol that enables PREEMPT_RT, and the patch series if mainline lacks it."""
 
     rt_series: str | None
     rt_mainline: list[Architecture]
@@ -70,7 +70,7 @@ class KernelVersion(config.Config):
 class KernelMachine(config.Config):
     """The concerns of a fragment, the bases on which it must take effect, and boards that run the same kernel.
 
-    `since`: the first kernel for which it has a fragment; None means every kernel.
+    `since`: the first kernel with a fragment; None means every kernel.
     """
 
     summary: str
@@ -92,9 +92,9 @@ class SourceFile(config.Config):
 
 
 class DebianSource(config.Config):
-    """A pinned kernel of Debian: its tree, and the RT patches of the same version (None: mainline needs none).
+    """A pinned Debian kernel: its tree, and the RT patches of the same version (None: mainline needs none).
 
-    `suites` are those of Debian that may serve it, `release` is what the patched tree calls itself.
+    `suites` are the Debian suites that may serve it, `release` is the patched tree's name for itself.
     """
 
     suites: list[str] = Field(min_length=1)
@@ -122,16 +122,17 @@ class _Sources(config.Config):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Basis:
-    """The data that a kernel is compared with: the options that exist in `options_of`, and the PREEMPT_RT of `rt_of`.
+    """The data to compare a kernel with: the options that exist in `options_of`, and the PREEMPT_RT of `rt_of`.
 
-    `rt_of` is a version of ``kernels.yml``. `options_of` is the same one where it was selected, else the kernel itself.
+    `rt_of` is a version of ``kernels.yml``. `options_of` is the same version if it was selected, else the kernel
+    itself.
     """
 
     options_of: str
     rt_of: str
 
     def remark(self, kernel: str) -> str:
-        """What has to be reported where the data are not those of that kernel; empty where they are."""
+        """A remark if the data belong to another kernel; empty if they belong to this one."""
         if self.rt_of == kernel:
             return ""
         return f" (by the data of {self.rt_of}{'' if self.options_of == self.rt_of else ', the nearest'})"
@@ -156,8 +157,8 @@ class Data:
     def basis(self, kernel: str, selected: str | None = None) -> Basis:
         """What a kernel of any version is compared with: its own data, the nearest, or those of a selected version.
 
-        Of two that are equally near the older one counts: what the newer one has may be missing. Raises UsageError for
-        a selected version that is unknown.
+        Of two equally near versions, the older one counts: the kernel may lack what the newer one has. Raises
+        UsageError for an unknown selected version.
         """
         if selected is not None:
             self.kernel(selected)
@@ -167,7 +168,7 @@ class Data:
         return Basis(options_of=kernel, rt_of=nearest)
 
     def source(self, version: str | None = None) -> DebianSource:
-        """The pinned source of a kernel, without a version the first one. Raises UsageError, naming the pinned ones."""
+        """The pinned source of a kernel; without a version, the first. Raises UsageError, naming the pinned ones."""
         chosen = next(iter(self.sources)) if version is None else version
         if chosen not in self.sources:
             raise UsageError(
@@ -184,7 +185,7 @@ class Data:
     def fragment_of(self, board: str) -> str:
         """The machine whose kernel a board runs: the one that lists the board, or else the board itself.
 
-        Raises UsageError for others, also for machines without device trees, whose kernels other layers build.
+        Raises UsageError for other boards, and for machines without device trees, whose kernels other layers build.
         """
         built = {name: machine for name, machine in self.machines.items() if machine.dtbs}
         runs = {name: name for name in built}
@@ -218,21 +219,21 @@ class Data:
 
 
 def _release(version: str) -> int:
-    """The place of a version like ``6.12`` in the row of all releases since 3.0."""
+    """The position of a version like ``6.12`` among all releases since 3.0."""
     major, minor = version_key(version)
     return _BEFORE.get(major, _BEFORE[6] + _OF_A_MAJOR * (major - 6)) + minor
 
 
 def version_key(version: str) -> tuple[int, ...]:
-    """A version like ``6.12`` as numbers that compare."""
+    """A version like ``6.12`` as numbers that can be compared."""
     return tuple(int(part) for part in version.split("."))
 
 
 def load(folder: Path | None = None) -> Data:
     """Read ``kernels.yml``, ``machines.yml``, ``sources.yml`` and ``options/*.yml`` (folder: ``kconfig/``).
 
-    Raises UsageError for a malformed file, for a concern without a file, for a symbol that two options give to one
-    machine and kernel.
+    Raises UsageError for a malformed file, a concern without a file, or a symbol that two options set for one machine
+    and kernel.
     """
     folder = folder or shipped("kconfig")
     data = Data(

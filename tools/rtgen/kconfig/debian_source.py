@@ -1,8 +1,8 @@
-"""The pinned kernels of Debian: a tree, and the RT patches from the same version of the source package.
+"""The pinned Debian kernels: a tree, and the RT patches from the same version of the source package.
 
 Debian's ``linux-source`` packages do not contain the RT patches; the packaging part of the source package does, in
-``debian/patches-rt``. Both must have the same version, or the patches do not apply. apt uses a folder of its own for
-the download and leaves the machine's package lists and sources as they are.
+``debian/patches-rt``. Both must have the same version, or the patches do not apply. apt uses its own folder for the
+download, and leaves the machine's package lists and sources as they are.
 """
 
 import hashlib
@@ -26,8 +26,8 @@ _SERIES = "debian/patches-rt"
 def open_debian(data: Data, version: str | None = None) -> Tree:
     """The files that Kconfig reads of a pinned kernel's tree with its RT patches; the version is as in `Data.source`.
 
-    Downloads 140 MB and takes half a minute the first time. Raises UsageError for a version that is not pinned,
-    InfrastructureError when Debian does not serve it any more, or when a checksum is wrong.
+    The first time, this downloads 140 MB and takes half a minute. Raises UsageError for a version that is not pinned,
+    InfrastructureError when Debian no longer serves it, or when a checksum is wrong.
     """
     pinned = data.source(version)
 
@@ -146,7 +146,7 @@ def _private_apt(folder: Path, pinned: DebianSource) -> list[str]:
         "Dir::Cache": folder, "Dir::Etc::SourceList": folder / "sources.list", "Dir::Etc::SourceParts": "/dev/null",
         "Dir::Etc::Preferences": "/dev/null", "Dir::Etc::PreferencesParts": "/dev/null",
         "Acquire::Languages": "none", "APT::Sandbox::User": "",
-        # A mirror's copy of a suite may be older than the suite allows. The checksums say what is right.
+        # A mirror's copy of a suite may be older than the suite allows. The checksums decide.
         "Acquire::Check-Valid-Until": "false",
     }  # fmt: skip
     return [f"-o{key}={value}" for key, value in settings.items()]

@@ -26,7 +26,7 @@ _NEWER = ((re.compile(r"^\s+modules\s*$"), "\toption modules\n"), (re.compile(r"
 def explain(tree: Tree, architecture: Architecture, config: str, wanted: Mapping[str, str]) -> dict[str, str]:
     """A reason for each symbol whose value in a finished .config is not the wanted one.
 
-    A symbol without a reason here means that kconfiglib could not read the tree or sees no difference.
+    If a symbol has no reason here, kconfiglib could not read the tree or sees no difference.
     """
     if not wanted:
         return {}
@@ -121,20 +121,20 @@ def _selecting(symbol: Any) -> str:
 
 
 def _terms(expression: Any, operator: int) -> list[Any]:
-    """The operands of a chain of one operator, flat."""
+    """The operands of a chain of one operator, as a flat list."""
     if isinstance(expression, tuple) and expression[0] == operator:
         return _terms(expression[1], operator) + _terms(expression[2], operator)
     return [expression]
 
 
 def _terms_below(expression: Any, rank: int) -> list[str]:
-    """The operands of a conjunction that are less than this (0: n, 1: m, 2: y)."""
+    """The operands of a conjunction with a lower value than this (0: n, 1: m, 2: y)."""
     terms = _terms(expression, kconfiglib.AND)
     return [_show(term) for term in terms if kconfiglib.expr_value(term) < rank]
 
 
 def _show(expression: Any) -> str:
-    """An expression with the values of its symbols, as ``EXPERT (is n)``."""
+    """An expression with the values of its symbols, such as ``EXPERT (is n)``."""
     text: str = kconfiglib.expr_str(expression, _plain_name)
     return text if isinstance(expression, tuple) else f"{text} (is {expression.str_value})"
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import MIB, read_bytes
 
-# Of a config file, unpacked. A finished .config of an ARM kernel has 200 kB.
+# Limit of a decompressed config file. A finished .config of an ARM kernel has 200 kB.
 CONFIG_BYTES_MAX = 4 * MIB
-_GZIP_WBITS = 31  # as zlib.decompressobj has it
+_GZIP_WBITS = 31  # for zlib.decompressobj
 
 _SET = re.compile(r'CONFIG_(\w+)=([ymn]|-?\d+|0x[0-9a-fA-F]+|"(?:[^"\\]|\\.)*")')
 _UNSET = re.compile(r"# CONFIG_(\w+) is not set")
-# A comment that is meant as "not set", but that the kernel ignores.
+# A comment that means "not set" but that the kernel ignores.
 _NEARLY_UNSET = re.compile(r"#\s*(CONFIG_)?[A-Z0-9_]+ (is )?not set\b")
 _EXPANDED = re.compile(r"# Automatically generated file; DO NOT EDIT|CONFIG_CC_VERSION_TEXT=")
 _HEAD = re.compile(r"# Linux/(\w+) ([0-9]{1,4}\.[0-9]{1,4})\S* Kernel Configuration")
@@ -22,7 +22,7 @@ _HEAD = re.compile(r"# Linux/(\w+) ([0-9]{1,4}\.[0-9]{1,4})\S* Kernel Configurat
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A symbol and its value (``n``: not set), and the number of the line that says so."""
+    """A symbol, its value (``n``: not set), and the number of its line."""
 
     symbol: str
     value: str
@@ -30,7 +30,7 @@ class Line:
 
 
 def read_text(path: Path) -> str:
-    """The text of a config file, unpacked if it is gzip (as ``/proc/config.gz``). Raises UsageError."""
+    """The text of a config file, decompressed if it is gzip (as ``/proc/config.gz``). Raises UsageError."""
     data = read_bytes(path, max_bytes=CONFIG_BYTES_MAX)
     try:
         if data[:2] == b"\x1f\x8b":
@@ -63,7 +63,7 @@ def parse(text: str, origin: str) -> tuple[Line, ...]:
 
 
 def parse_fragment(text: str, origin: str) -> tuple[Line, ...]:
-    """As `parse`, for a file that may name a symbol only once."""
+    """Like `parse`, for a file that may name a symbol only once."""
     first: dict[str, int] = {}
     lines = parse(text, origin)
     for line in lines:
@@ -77,7 +77,7 @@ def parse_fragment(text: str, origin: str) -> tuple[Line, ...]:
 
 
 def parse_defconfig(text: str, origin: str) -> tuple[Line, ...]:
-    """As `parse`, for a defconfig. A finished .config is refused: it sets every symbol before the fragment can."""
+    """Like `parse`, for a defconfig. A finished .config is refused: it sets every symbol before the fragment can."""
     for number, line in enumerate(text.splitlines(), 1):
         if _EXPANDED.match(line):
             raise UsageError(
@@ -95,5 +95,5 @@ def kernel_of(text: str) -> str | None:
 
 
 def values(lines: tuple[Line, ...]) -> dict[str, str]:
-    """The value of each symbol. Of two values the later one counts, as for the kernel."""
+    """The value of each symbol. Of two values the later one counts, as in the kernel."""
     return {line.symbol: line.value for line in lines}

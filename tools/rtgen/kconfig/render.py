@@ -16,7 +16,7 @@ def fragment_path(data: Data, machine: str, kernel: str) -> Path:
 def render(data: Data, machine: str, kernel: str) -> str:
     """The fragment of a machine for a kernel version.
 
-    Raises UsageError when either is unknown, or when the machine has no fragment for so old a kernel.
+    Raises UsageError when either is unknown, or when the kernel is too old for a fragment of the machine.
     """
     series = data.rt_series(machine, kernel)
     if kernel not in data.kernels_of(machine):

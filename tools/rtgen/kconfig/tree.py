@@ -1,6 +1,6 @@
 """A kernel tree, and the kernel's own ``conf`` built from it.
 
-Only files that Kconfig reads are used. They are copied into the cache under the hash of their content, so that nothing
+Only the files that Kconfig reads are used. They are copied into the cache under the hash of their content, so nothing
 is written into the tree, and an unchanged tree is not built again.
 """
 
@@ -77,7 +77,7 @@ class Tree:
         return self.folder / "source"
 
     def defconfig(self, name: str, architecture: Architecture) -> Path:
-        """The tree's own defconfig of that name. Raises UsageError, naming the ones it has."""
+        """The tree's own defconfig with that name. Raises UsageError, naming the available ones."""
         path = self.source / "arch" / architecture.folder / "configs" / name
         if not path.is_file():
             known = ", ".join(sorted(file.name for file in path.parent.glob("*defconfig")))
@@ -165,7 +165,7 @@ def environment(tree: Tree, architecture: Architecture) -> dict[str, str]:
 
 
 def run_conf(tree: Tree, architecture: Architecture, defconfig: str) -> str:
-    """The finished .config that ``conf --defconfig`` makes of a defconfig's text. Raises InfrastructureError."""
+    """The finished .config that ``conf --defconfig`` makes from a defconfig's text. Raises InfrastructureError."""
     # conf leaves include/ and .tmp_* folders in the current folder.
     with tempfile.TemporaryDirectory(prefix="rtgen-conf-") as work:
         given, made = Path(work, "defconfig"), Path(work, ".config")
@@ -186,7 +186,7 @@ def _walk(path: Path) -> list[str]:
             folders.remove(".git")
         relative = os.path.relpath(folder, path)
         prefix = "" if relative == "." else f"{relative}/"
-        # A link may lead to a file that this tree does not have.
+        # A link may lead to a file that is missing in this tree.
         wanted_files += [prefix + file for file in files if wanted(prefix + file) and Path(folder, file).is_file()]
     return wanted_files
 

@@ -57,10 +57,10 @@ def verify_tree(
     origin: str | None,
     selected: str | None = None,
 ) -> Verification:
-    """Merge a fragment onto a base of the machine, and compare the .config that ``conf`` makes with fragment and data.
+    """Merge a fragment onto a base of the machine, and compare the .config of ``conf`` with fragment and data.
 
     Options of the data count even if the fragment leaves them out or contradicts them. `origin` names the file of the
-    fragment, None if it is the rendered one; `selected` is as in `Data.basis`.
+    fragment, None for the rendered fragment; `selected` is as in `Data.basis`.
     """
     basis = data.basis(tree.kernel, selected)
     architecture = ARCHITECTURES[data.machine(machine).architecture]
@@ -104,7 +104,7 @@ def rendered(data: Data, machine: str, basis: Basis) -> tuple[Line, ...]:
 def verify_config(data: Data, machine: str, text: str, origin: str, selected: str | None = None) -> Verification:
     """Compare a finished .config with the data; `selected` is as in `Data.basis`.
 
-    Raises UsageError when its head names no version of a kernel.
+    Raises UsageError when its head names no kernel version.
     """
     kernel = kernel_of(text)
     if kernel is None:

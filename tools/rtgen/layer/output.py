@@ -16,7 +16,7 @@ OWNED = (LAYER,)  # folders with rendered files only
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome:
-    """The changes made by writing a rendering. `linked`: missing folders that became links to those of the checkout."""
+    """The changes from writing a rendering. `linked`: missing folders that became links to those of the checkout."""
 
     written: int
     removed: tuple[Path, ...]
@@ -24,7 +24,7 @@ class Outcome:
 
 
 def prefix_in_git(out: Path) -> str:
-    """`out` below the git repository it lies in, with a slash at the end; "" if it is its top or there is none."""
+    """`out` relative to its git repository, with a slash at the end; "" if it is the top or there is no repository."""
     out = out.resolve()
     for folder in (out, *out.parents):
         if (folder / ".git").exists():
@@ -33,7 +33,7 @@ def prefix_in_git(out: Path) -> str:
 
 
 def differences(tree: Tree, out: Path) -> str:
-    """The differences of a folder from the rendering, as a unified diff; "" if there are none."""
+    """The differences between a folder and the rendering, as a unified diff; "" if there are none."""
     lines: list[str] = []
     for path in sorted({*tree, *_present(out)}):
         name = path.as_posix()
@@ -57,7 +57,7 @@ def write(tree: Tree, out: Path) -> Outcome:
     for path, content in tree.items():
         target = out / path
         target.parent.mkdir(parents=True, exist_ok=True)
-        # An unchanged file keeps its time, so that BitBake does not parse it again.
+        # An unchanged file keeps its time stamp, so that BitBake does not parse it again.
         if isinstance(content, SymbolicLink):
             link = _relative(content, path)
             if not target.is_symlink() or str(target.readlink()) != link:
@@ -79,7 +79,7 @@ def write(tree: Tree, out: Path) -> Outcome:
 
 
 def _obstacles(tree: Tree, out: Path) -> dict[Path, str]:
-    """The files that prevent the rendering from being written, and why."""
+    """The files that prevent the rendering from being written, each with the reason."""
     targets = [out / path for path in tree]
     obstacles = {out / path: "not rendered by rtgen" for path in _present(out) if not _replaceable(path, out)}
     obstacles |= {

@@ -1,4 +1,4 @@
-"""What suites.yml says of the programs as a C++ source, which is committed: so they build without Python."""
+"""The programs in suites.yml as a committed C++ source, so that they build without Python."""
 
 import json
 from pathlib import PurePosixPath
@@ -21,7 +21,7 @@ def render_programs() -> Tree:
 
 
 def _cpp(value: Any) -> str:
-    """A C++ literal: a text (as one of JSON), a list of texts, or nullptr."""
+    """A C++ literal: a text (written like JSON), a list of texts, or nullptr."""
     if isinstance(value, list):
         return "{" + ", ".join(map(_cpp, value)) + "}"
     return "nullptr" if value is None else json.dumps(str(value))

@@ -1,4 +1,4 @@
-"""What the recipes of the packages in recipes-tests/ say, from suites.yml and each package's package.xml."""
+"""The contents of the recipes for recipes-tests/, from suites.yml and each package's package.xml."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -10,15 +10,15 @@ from rtfiles.errors import UsageError
 from rtgen.profile import Profile, Release
 from rtgen.suites import GRAPH, SAMPLER, SUPPORT, TRANSPORTS, packages, sources, transports
 
-# The client libraries that the suites measure, by the version of ROS.
+# The client libraries that the suites measure, by ROS version.
 CLIENTS = {1: ("roscpp",), 2: ("rcl", "rclcpp")}
-# What the sources of 2014 need beside what ours do: their library has ROS in it, their messages are made of others.
+# What the sources of 2014 need besides our needs: their library uses ROS, and their messages use other messages.
 OF_2014 = {"rt_tests_support": ("roscpp",), "communication_tests": ("std-msgs",)}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Recipe:
-    """A package's recipe. `build`, `run`: the recipes it needs; `variables`: those of CMake that it sets.
+    """A package's recipe. `build`, `run`: the recipes it needs; `variables`: the CMake variables it sets.
 
     `builder`: catkin, ament_cmake, or cmake for a package without ROS. `library`: it has no program.
     """
@@ -36,7 +36,7 @@ class Recipe:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Dependencies:
-    """The packages that a package.xml names: to build it with, to build it, to run it."""
+    """The packages that a package.xml names: as build tools, for building, for running."""
 
     tools: tuple[str, ...]
     build: tuple[str, ...]
@@ -44,7 +44,7 @@ class Dependencies:
 
 
 def recipes_of(profile: Profile, release: Release) -> Iterator[Recipe]:
-    """The recipe of each package, in the order of their dependencies."""
+    """The recipe of each package, ordered by dependencies."""
     suites = read_yaml(sources() / "suites.yml")["suites"]
     ros = release.ros_distros[profile.ros_distro]
     for package in packages():
@@ -76,7 +76,7 @@ def recipes_of(profile: Profile, release: Release) -> Iterator[Recipe]:
             suite = suites[package]
             summary = f"Measures the {suite['summary']}"
             if ros.version == 2:
-                # ament would build what it finds: a suite without the programs on rclcpp would be no error.
+                # ament builds what it finds: a suite without its rclcpp programs would not be an error.
                 variables["CMAKE_REQUIRE_FIND_PACKAGE_rclcpp"] = "ON"
             description = f"Programs that measure the {suite['summary']}: {', '.join(_programs(suite, ros.version))}"
         yield Recipe(
@@ -93,9 +93,9 @@ def recipes_of(profile: Profile, release: Release) -> Iterator[Recipe]:
 
 
 def read_dependencies(path: Path, ros_version: int) -> Dependencies:
-    """What a package.xml (format 3, REP 149) says for a version of ROS.
+    """The dependencies in a package.xml (format 3, REP 149) for a ROS version.
 
-    Raises UsageError for a condition that asks for more than ROS_VERSION.
+    Raises UsageError for a condition on anything but ROS_VERSION.
     """
     tree = ElementTree.parse(path)
 
@@ -122,12 +122,12 @@ def _holds(condition: str | None, ros_version: int, path: Path) -> bool:
 
 
 def _programs(suite: Mapping[str, Mapping[str, object]], ros_version: int) -> list[str]:
-    """The names that a suite's programs have: those of 2014, or with what they measure behind."""
+    """The names of a suite's programs: those of 2014, or the same with the measured client library appended."""
     if ros_version == 1:
         return list(suite["programs"])
     return [f"{program}_{client}" for program in suite["programs"] for client in CLIENTS[ros_version]]
 
 
 def _dashed(package: str) -> str:
-    """The name of a ROS package's recipe, in which BitBake allows no underscore."""
+    """The recipe name of a ROS package; BitBake allows no underscore in it."""
     return package.replace("_", "-")

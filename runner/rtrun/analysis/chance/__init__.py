@@ -1,1 +1,1 @@
-"""Chances: distributions, intervals of a probability, tests of ranks and means, how many measurements decide."""
+"""Chances: distributions, intervals of a probability, tests of ranks and means, and how many measurements decide."""

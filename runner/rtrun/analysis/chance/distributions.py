@@ -1,8 +1,8 @@
 """Chances and quantiles of the distributions that the analysis rests on.
 
-scipy.special has all of these, but takes as much room as everything else that measuring and judging need, and longer to
-load than a small report. Here each chance is one integral, computed in one way, to eleven digits and more;
-`tests/rtrun/analysis/test_distributions.py` holds them to scipy's.
+scipy.special has all of these, but it takes as much room as everything else needed to measure and judge, and longer to
+load than a small report. Here each chance is one integral, and all are computed in the same way to at least eleven
+digits. `tests/rtrun/analysis/test_distributions.py` compares them with scipy.
 """
 
 import functools
@@ -17,7 +17,8 @@ from rtrun.analysis.chance.search import where_one
 Floats = NDArray[np.float64]
 
 _NORMAL = NormalDist()
-# Quadrature of what falls off as exp(-s): the trapezoidal rule in u, where s = exp(u - exp(-u)) (Takahasi & Mori 1974).
+# Quadrature of functions that fall off as exp(-s): the trapezoidal rule in u, where s = exp(u - exp(-u)) (Takahasi &
+# Mori 1974).
 _STEP = 0.15
 _AT = np.arange(-4.2, 8.4, _STEP)
 _PLACES = np.exp(_AT - np.exp(-_AT))
@@ -48,7 +49,7 @@ def gamma_above(value: float, shape: float) -> float:
 
 
 def chi_squared_above(value: float, degrees: float) -> float:
-    """The chance that a chi-squared variate of so many degrees of freedom, at least 1, is above a value."""
+    """The chance that a chi-squared variate with so many degrees of freedom (at least 1) is above a value."""
     return gamma_above(value / 2, degrees / 2)
 
 
@@ -65,7 +66,7 @@ def chi_squared_exceeded(chance: float, degrees: float) -> float:
 
 
 def poisson_quantile(chance: float, mean: float) -> int:
-    """The smallest number above which a Poisson variate is with the chance 1 - `chance` at most."""
+    """The smallest number that a Poisson variate exceeds with a chance of at most 1 - `chance`."""
     # Where the search begins: Cornish & Fisher 1938.
     z = _NORMAL.inv_cdf(chance)
     k = max(0, math.ceil(mean + z * math.sqrt(mean) + (z * z - 1) / 6 - 0.5))
@@ -77,12 +78,12 @@ def poisson_quantile(chance: float, mean: float) -> int:
 
 
 def beta_below(value: float, a: float, b: float) -> float:
-    """The chance that a beta variate is below a value; one of a and b is at least 1/2, the other one 1/50."""
+    """The chance that a beta variate is below a value; one of a and b is at least 1/2, the other at least 1/50."""
     return _beta(value, 1 - value, a, b)[0]
 
 
 def beta_above(value: float, a: float, b: float) -> float:
-    """The chance that a beta variate, as that of `beta_below`, is above a value."""
+    """The chance that a beta variate is above a value; a and b as in `beta_below`."""
     return _beta(value, 1 - value, a, b)[1]
 
 
@@ -104,14 +105,14 @@ def binomial_above(k: float, n: float, p: float) -> float:
 
 
 def student_below(value: float, degrees: float) -> float:
-    """The chance that Student's t of so many degrees of freedom, at least 1, is below a value."""
+    """The chance that Student's t with so many degrees of freedom (at least 1) is below a value."""
     ratio = value * value / degrees
     tail = _beta(1 / (1 + ratio), 1 / (1 + 1 / max(ratio, _TINY)), degrees / 2, 0.5)[0] / 2
     return tail if value <= 0 else 1 - tail
 
 
 def student_quantile(chance: float, degrees: float) -> float:
-    """The value that Student's t of so many degrees of freedom, at least 1, is below with this chance."""
+    """The value that Student's t with so many degrees of freedom (at least 1) is below with this chance."""
     if chance <= 0.5:
         return -student_quantile(1 - chance, degrees) if chance < 0.5 else 0.0
     start = math.log(_NORMAL.inv_cdf(chance))
@@ -119,7 +120,7 @@ def student_quantile(chance: float, degrees: float) -> float:
 
 
 def smirnov_above(distance: float, n: int) -> float:
-    """The chance that the distribution of n values lies more than a distance above their own, somewhere.
+    """The chance that the distribution function of n values somewhere lies more than a distance above the true one.
 
     One side of the test of Kolmogorov & Smirnov (Birnbaum & Tingey 1951).
     """
@@ -133,7 +134,7 @@ def smirnov_above(distance: float, n: int) -> float:
 
 
 def _gamma(value: float, shape: float) -> tuple[float, float]:
-    """The chances below and above. The smaller one is an integral over s, of variates value exp(-s) or value + s."""
+    """The chances below and above. The smaller one is an integral over s: the variate is value exp(-s) or value + s."""
     if value <= 0 or value == math.inf:
         return (0.0, 1.0) if value <= 0 else (1.0, 0.0)
     if shape < 0.5:
@@ -150,8 +151,8 @@ def _gamma(value: float, shape: float) -> tuple[float, float]:
 
 
 def _beta(x: float, y: float, a: float, b: float) -> tuple[float, float]:
-    """The chances below and above x, where y is 1 - x. The smaller one is an integral over s, of variates x exp(-s) or
-    1 - y exp(-s)."""
+    """The chances below and above x, where y is 1 - x. The smaller one is an integral over s: the variate is x exp(-s)
+    or 1 - y exp(-s)."""
     if x * b > y * a:
         below, above = _beta(y, x, b, a)
         return above, below
@@ -166,7 +167,7 @@ def _beta(x: float, y: float, a: float, b: float) -> tuple[float, float]:
 
 
 def _quadrature(slope: float, curvature: float) -> tuple[Floats, Floats]:
-    """Places and weights for the integral of what is 1 at 0, and whose log falls with this slope and this curvature."""
+    """Places and weights to integrate a function that is 1 at 0 and whose log falls with this slope and curvature."""
     width = 2 / (slope + math.sqrt(slope * slope + 2 * curvature))  # where it has fallen by 1
     return width * _PLACES, width * _WEIGHTS
 
@@ -191,7 +192,7 @@ def _beta_quantile(chances: tuple[float, float], a: float, b: float) -> float:
     def at(log_odds: float) -> float:
         return _ratio(_beta(_of_log_odds(log_odds), _of_log_odds(-log_odds), a, b), chances)
 
-    # Where the search begins: log odds are nearly normal, and where a is small the chance goes with that power.
+    # Where the search begins: log odds are nearly normal. For a small a, the chance rises with the power a.
     z = _NORMAL.inv_cdf(chances[0]) if chances[0] < chances[1] else -_NORMAL.inv_cdf(chances[1])
     start = math.log(a / b) + z * math.sqrt(1 / a + 1 / b)
     if a < 1:
@@ -204,5 +205,5 @@ def _of_log_odds(log_odds: float) -> float:
 
 
 def _ratio(found: tuple[float, float], asked: tuple[float, float]) -> float:
-    """How far chances below and above are from those asked for: a ratio that rises, of those that have more digits."""
+    """How far chances below and above are from those asked for: a rising ratio, of the side that has more digits."""
     return found[0] / asked[0] if asked[0] < asked[1] else asked[1] / max(found[1], _TINY)

@@ -1,4 +1,4 @@
-"""How many measurements decide a question: beforehand, and from what was seen so far."""
+"""How many measurements decide a question: planned beforehand, and predicted from what was seen so far."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -11,22 +11,21 @@ from rtrun.analysis.chance.intervals import anytime_lower, anytime_upper, is_upp
 from rtrun.analysis.chance.search import where_one
 from rtrun.plan.question import Question, bursts_asked
 
-# Beyond this a number of measurements is no plan: at 1 kHz it is 30 000 years.
+# No plan has more measurements than this: at 1 kHz they take 30 000 years.
 UNATTAINABLE = 10**15
 # "Nine times in ten".
 LIKELY = 0.9
 SEED = 20140715
 _COURSES = 1000
-# So many bursts to come are looked at: what is not decided by then is not decided soon.
+# How many future bursts are simulated. A question that these do not decide is not decided soon.
 _BURSTS_TO_COME = 200
 
 
 def longest_burst(misses: float, n: float, effect: float, question: Question) -> float:
-    """The mean length of bursts of misses, none of which was seen, up to which n measurements prove; 0: they do not.
+    """The longest mean length of unseen bursts of misses with which n measurements still prove; 0: they do not.
 
-    P(miss) is that of misses of the kind seen, whose upper end is `anytime_upper`, and of bursts that come at a rate at
-    which none would be seen in n measurements with the chance 1 - confidence. Where misses were seen, each of the two
-    gets half of it.
+    P(miss) has two parts: misses of the kind seen, whose upper end is `anytime_upper`, and bursts at the rate at which
+    n measurements show none with the chance 1 - confidence. Where misses were seen, each part gets half of that chance.
     """
     if n <= 0 or not is_upper_below(misses / effect, n / effect, question.confidence, question.probability):
         return 0.0
@@ -36,7 +35,7 @@ def longest_burst(misses: float, n: float, effect: float, question: Question) ->
 
 
 def proves(misses: float, n: float, effect: float, question: Question) -> bool:
-    """Whether the upper end of P(miss) is below the target, and the bursts that are to be covered are."""
+    """Whether the upper end of P(miss) is below the target, including the bursts that have to be covered."""
     if (bursts := bursts_asked(question).length) > 1:
         return longest_burst(misses, n, effect, question) >= bursts
     return n > 0 and is_upper_below(misses / effect, n / effect, question.confidence, question.probability)
@@ -49,7 +48,7 @@ def missing_without_miss(misses: float, n: int, effect: float, question: Questio
 
 
 def chance_of_no_miss(misses: float, n: int, effect: float, more: int) -> float:
-    """The chance that so many more measurements hold no miss, by what was seen.
+    """The chance that so many more measurements hold no miss, given what was seen.
 
     The rate of misses is gamma distributed after Jeffreys' prior for a Poisson rate (Gelman et al. 2013, section 2.6).
     """
@@ -59,11 +58,11 @@ def chance_of_no_miss(misses: float, n: int, effect: float, more: int) -> float:
 def plan_measurements(
     question: Question, *, rate: float = 0.0, period_ns: float | None = None
 ) -> tuple[bool, int] | None:
-    """Whether it is proven (True) or refuted, and the independent measurements that are enough nine times in ten.
+    """Whether it is proven (True) or refuted, and how many independent measurements suffice nine times in ten.
 
-    `rate` is that of misses; without misses it is the fewest that prove it. `period_ns` is that of the stream, of which
-    a proof covers a stall (`bursts_asked`). Where some are tolerated, measurements are counted in ends of windows, of
-    which as many as overlap are worth one. None where no number decides.
+    `rate` is the rate of misses; if it is 0, the result is the smallest number that proves. `period_ns` is the period
+    of the stream; a proof covers a stall of it (`bursts_asked`). Where misses are tolerated, each end of a window is a
+    measurement, and overlapping windows are worth one. None where no number decides.
     """
     asked, bursts = question.confidence, bursts_asked(question, period_ns).length
     question = replace(question, bursts=bursts, confidence=of_few(asked, question.boots))
@@ -87,7 +86,7 @@ def plan_measurements(
 def plan_groups(
     question: Question, periods_ns: Mapping[str, float | None], *, rate: float = 0.0
 ) -> tuple[bool, dict[str, int]] | None:
-    """As `plan_measurements` for each of several groups, by their names; None where no number decides one."""
+    """`plan_measurements` for several groups, by name; None where no number decides one of them."""
     planned = {name: plan_measurements(question, rate=rate, period_ns=each) for name, each in periods_ns.items()}
     decided = {name: each for name, each in planned.items() if each is not None}
     if len(decided) < len(planned):
@@ -96,18 +95,18 @@ def plan_groups(
 
 
 def likely_further(misses: float, n: int, effect: float, question: Question) -> tuple[bool, int] | None:
-    """Whether it will be proven (True) or refuted, and the further measurements after which it is nine times in ten.
+    """Whether it will be proven (True) or refuted, and how many more measurements suffice nine times in ten.
 
-    The courses of the misses to come are simulated, at rates drawn from what was seen (Jeffreys' prior for a Poisson
-    rate, Gelman et al. 2013, section 2.6), each until the first look at which the question is decided: it is looked at
-    all the time. None where a tenth of them or more is not decided soon.
+    Courses of future misses are simulated at rates drawn from what was seen (Jeffreys' prior for a Poisson rate, Gelman
+    et al. 2013, section 2.6). The question is examined all the time, and a course ends when it is decided. None where a
+    tenth of the courses or more is not decided soon.
     """
     if not n or not misses:
         return None
     k, scale = misses / effect, 1 / effect
     rng = np.random.default_rng(SEED)
     rates = rng.gamma(k + 0.5, 1 / (n * scale), _COURSES)
-    # When each of the bursts to come arrives, counted in effective measurements from the first one of all.
+    # When each future burst arrives, in effective measurements from the very first one.
     arrivals = n * scale + np.cumsum(rng.exponential(size=(_COURSES, _BURSTS_TO_COME)), axis=1) / rates[:, None]
     before = np.column_stack((np.full(_COURSES, n * scale), arrivals[:, :-1]))
     counts = [k + more for more in range(_BURSTS_TO_COME + 1)]
@@ -118,7 +117,7 @@ def likely_further(misses: float, n: int, effect: float, question: Question) -> 
         refuted = np.where(arrival <= refuted_until, arrival, np.inf)
         first = np.minimum(first, np.minimum(proven, refuted))
         likely = float(np.quantile(first, LIKELY, method="higher"))
-        # A course that is not decided yet is decided later than that.
+        # A course that is still undecided is decided at this arrival or later.
         if likely <= arrival[np.isinf(first)].min(initial=np.inf):
             break
     total = likely * effect
@@ -128,7 +127,7 @@ def likely_further(misses: float, n: int, effect: float, question: Question) -> 
 
 
 def _proven_from(counts: Sequence[float], effect: float, question: Question) -> Iterator[float]:
-    """From how many effective measurements on each number of bursts is a proof, as `longest_burst` says."""
+    """For each number of bursts, the effective measurements from which on it is a proof (`longest_burst`)."""
     bursts = bursts_asked(question).length
     several = bursts > 1
     alpha = (1 - question.confidence) / (2 if several else 1)
@@ -149,7 +148,7 @@ def _proven_from(counts: Sequence[float], effect: float, question: Question) -> 
 
 
 def _refuted_until(counts: Sequence[float], question: Question) -> Iterator[float]:
-    """Up to how many effective measurements each number of bursts refutes it."""
+    """For each number of bursts, the effective measurements up to which it refutes."""
     at = 0.0
     for count in counts:
         whole = max(1, math.ceil(count - 1e-9))
@@ -166,7 +165,7 @@ def _refuted_until(counts: Sequence[float], question: Question) -> Iterator[floa
 
 
 def smallest(condition: Callable[[int], bool], start: int) -> int | None:
-    """The smallest total from `start` on for which a monotone condition holds; None beyond all plans."""
+    """The smallest total from `start` on for which a monotone condition holds; None above UNATTAINABLE."""
     if start and condition(start):
         return start
     low, high = start, max(1, start)

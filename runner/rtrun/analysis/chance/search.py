@@ -1,4 +1,4 @@
-"""Where a function of several numbers is lowest, and where a function of one crosses zero, or a ratio is one."""
+"""Searches: where a function of several numbers is lowest, where one of one number is zero, where a ratio is one."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,11 +13,11 @@ def lowest_point(
 ) -> tuple[list[float], float]:
     """Where a cost is lowest, and how low: the simplex search of Nelder & Mead (1965), with first steps of this width.
 
-    It ends when the corners of the simplex are within ten tolerances of the best, and their costs within one.
+    It ends when all corners of the simplex are within ten tolerances of the best, and their costs within one.
     """
 
     def moved(corner: Sequence[float], factor: float, of: Sequence[float]) -> _Corner:
-        """The corner that is so many times as far from one as another is."""
+        """The corner that lies `factor` times as far from `corner` as `of` does, on the same line."""
         place = [at + factor * (value - at) for at, value in zip(corner, of, strict=True)]
         return cost(place), place
 
@@ -65,14 +65,14 @@ def crossing(function: Callable[[float], float], low: float, high: float, *, tol
 
 
 def where_one(ratio: Callable[[float], float], start: float) -> float:
-    """Where a ratio that rises is 1, by secants of its log, which is to be nearly straight."""
+    """Where a rising ratio is 1, by secants of its log, which should be nearly straight."""
     low, high, at = -math.inf, math.inf, start
     before, height_before = math.nan, math.nan
     for _ in range(_MOST_STEPS):
         height = math.log(max(ratio(at), _TINY))
         low, high = (max(low, at), high) if height < 0 else (low, min(high, at))
         slope = (height - height_before) / (at - before)
-        # The first step is a small one. Where the ratio has no slope, each is twice as wide as the one before.
+        # The first step is small. Where the ratio has no slope, each step is twice as wide as the one before.
         step = -height / slope if slope > 0 else math.copysign(max(0.001, 2 * abs(at - before)), -height)
         following = at + max(-2.0, min(2.0, step))
         is_outside = high - low < math.inf and not low < following < high

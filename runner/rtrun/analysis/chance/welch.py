@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 
 def standard_error(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float]:
-    """The standard error of the difference of the means of values, shapes (u,) and (v,), two each at least; and its
-    degrees of freedom after Welch and Satterthwaite.
+    """The standard error of the difference of two means, and its degrees of freedom (Welch and Satterthwaite).
 
-    Values that are all equal have no error, and any number of degrees of freedom: 1 is returned.
+    The values have the shapes (u,) and (v,), at least two each.
+
+    Equal values have no error; any number of degrees of freedom then fits, and 1 is returned.
     """
     parts = [float(values.var(ddof=1)) / values.size for values in (a, b)]
     error = math.sqrt(sum(parts))

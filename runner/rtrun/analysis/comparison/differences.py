@@ -19,7 +19,7 @@ from rtrun.kinds.values import Int64s
 ROUNDS = 999
 SEED = 20140715
 QUANTILES = (0.5, 0.9, 0.99, 0.999, 0.9999)
-# With so many runs on each side whole runs are resampled: then the interval has in it what differs between boots.
+# With so many runs on each side whole runs are resampled, so the interval includes the differences between boots.
 _RUNS_AS_UNITS = 5
 _LEAST_UNITS = 5
 # A quantile needs so many values beyond it in each set.
@@ -29,7 +29,7 @@ _BEYOND = 20
 class ComparisonAnswer(StrEnum):
     """What can be said about two sets.
 
-    RUNS_DIFFER: the runs at hand do, but they are too few, or were not measured in turn, to speak for all.
+    RUNS_DIFFER: the runs at hand differ, but they are too few to speak for all, or were not measured in turn.
     """
 
     DIFFERENT = "DIFFERENT"
@@ -68,12 +68,12 @@ class Shift:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Two sets, compared; too little data have no shifts.
+    """Two sets, compared; there are no shifts where there are too little data.
 
     ``distance`` is the largest difference of the distribution functions (0 to 1), ``p_value`` the chance of one as
     large if both sets came from one process. ``units`` says what was resampled: 'runs', 'boots' where the sets have no
-    boot in common, or 'blocks' where there are too few of them to know how much one differs from the next.
-    ``interleaved``: the runs were measured in turn.
+    boot in common, or 'blocks' where there are too few runs or boots to know how much they differ. ``interleaved``: the
+    runs were measured in turn.
     """
 
     answer: ComparisonAnswer
@@ -108,9 +108,9 @@ def compare(
 ) -> Comparison:
     """Compare two sets of runs of the same series; the margin of no concern is 5 % of A's figure unless given.
 
-    It is one of so many `tests` that `correct` takes together.
+    It is one of `tests` comparisons that `correct` takes together.
 
-    DIFFERENT needs five runs a side, or boots where the sets have none in common, measured in turn.
+    DIFFERENT needs five runs a side (five boots, where the sets have none in common), measured in turn.
 
     Shifts: percentile intervals of the block bootstrap (Carlstein 1986). Distance: Kolmogorov-Smirnov statistic
     under permutation of blocks or runs (Lahiri 2003, chapter 2). Quantiles are taken from counts in bins, values spread
@@ -204,7 +204,7 @@ def _shifts(sides: tuple[_Side, _Side], bins: _Bins, confidence: float, margin_n
 
 def _figures(a: _Side, b: _Side, bins: _Bins) -> Iterator[tuple[str, tuple[float, float], NDArray[np.float64]]]:
     """Yield each figure: its name, its value on both sides, and its shift in the sets drawn, (ROUNDS,)."""
-    # Means are of the values themselves; of sets drawn they are known to the width of a bin only.
+    # Means are those of the values themselves. For drawn sets, they are known only to the width of a bin.
     means = [[_means(counts, bins.lowest_ns) for counts in (side.whole, side.drawn)] for side in (a, b)]
     off = (b.mean_ns - a.mean_ns) - float((means[1][0] - means[0][0])[0])
     yield "mean", (a.mean_ns, b.mean_ns), means[1][1] - means[0][1] + off
@@ -219,8 +219,8 @@ def _no_difference(shifts: Sequence[Shift]) -> ComparisonAnswer:
 
 
 def correct(comparisons: Sequence[Comparison]) -> list[Comparison]:
-    """Comparisons of the same confidence taken together: with the chance 1 - confidence any of them sees a difference
-    where there is none (Holm 1979)."""
+    """Comparisons of the same confidence taken together (Holm 1979): the chance that any of them shows a difference
+    where there is none is at most 1 - confidence."""
     decided = [one for one in comparisons if one.answer is not ComparisonAnswer.UNDECIDED]
     rejected = iter(holm([one.p_value for one in decided], 1 - decided[0].confidence) if decided else [])
     return [
@@ -279,7 +279,7 @@ def _quantiles(counts: NDArray[np.generic], bins: _Bins, q: float) -> NDArray[np
 
 
 def _units(a: Sequence[Blocks], b: Sequence[Blocks]) -> tuple[list[str], list[str], str]:
-    """The unit of each run of both sets, and what it is: its boot where the sets have none in common, else the run."""
+    """The unit of each run of both sets, and its name: the boot where the sets have none in common, else the run."""
     boots = {run.boot for run in a}, {run.boot for run in b}
     if "" in boots[0] | boots[1] or boots[0] & boots[1]:
         return [str(k) for k in range(len(a))], [str(k) for k in range(len(b))], "runs"

@@ -12,10 +12,10 @@ from rtrun.analysis.chance.welch import standard_error
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Effect:
-    """B minus A of one figure over runs, with chances of it if the truth were as claimed at least, or at most.
+    """B minus A of one figure over runs, with its p-values against a claimed effect.
 
-    ``p_above`` is the chance of a shift as large if the true one were the claimed one or less, ``p_below`` that of one
-    as small if the true one were the least that does not refute, or more.
+    ``p_above`` is the chance of a shift as large if the true shift were the claimed one or less. ``p_below`` is the
+    chance of a shift as small if the true shift were the least that does not refute, or more.
     """
 
     a_ns: float
@@ -48,7 +48,7 @@ def examine_effect(
 
 
 def holm(p_values: Sequence[float], level: float) -> list[bool]:
-    """Which of several hypotheses are rejected so that none is by mistake but with the chance `level` (Holm 1979)."""
+    """Which of several hypotheses to reject, so that the chance of any mistake is at most `level` (Holm 1979)."""
     rejected = [False] * len(p_values)
     for rank, index in enumerate(sorted(range(len(p_values)), key=lambda k: p_values[k])):
         if p_values[index] > level / (len(p_values) - rank):

@@ -14,11 +14,13 @@ Boots = Sequence[tuple[int, int]]
 
 LEAST_BOOTS = 5  # of a history
 GATES_A_YEAR = 365
-# The margin is so many spreads of a boot at least. With less a year of gates has more false alarms than stated where
-# boots have a long upper tail or drift: a test at 1 in 7300 extrapolates from some hundred boots (docs/archive.md).
+# The margin is at least so many spreads of a boot. With a smaller one, a year of gates has more false alarms than
+# stated where boots drift or have a long upper tail: a test at 1 in 7300 extrapolates from some hundred boots
+# (docs/archive.md).
 LEAST_MARGIN = 2.0
-# A boot may be bad in a way that is rare, and that the history has not shown yet. So a build is worse only if its other
-# boots are worse, too. For these one test is made, at its own level: the first boot has already passed that of a year.
+# A boot may be bad in a rare way that the history has not shown yet. So a build is worse only if its other boots are
+# worse, too. These get one test at a level of their own, as all boots together have already exceeded the limit for a
+# year.
 LEVEL_OF_OTHERS = 0.1
 NOTICED = 0.9
 # Rates of misses are taken to differ by at least so much from boot to boot (standard deviation). A history with hardly
@@ -30,10 +32,10 @@ _RATES_DIFFER = 0.6
 class Against:
     """A figure of a build against its history, in the unit of the figure.
 
-    `reference` is the mean of the best level that the history held, over `boots` boots; `value` is the build's mean.
-    `limit` is what a build as good as the reference, or worse by the margin, exceeds with the chance of the test's
-    level. `noticed` is the true figure from which on a build exceeds it nine times in ten. `others_too`: so do its
-    boots without the worst of them, at LEVEL_OF_OTHERS; of a single boot this is not known.
+    `reference` is the mean of the best level that the history held, over `boots` boots; `value` is the build's mean. A
+    build that is worse than the reference by the margin, or less, exceeds `limit` with at most the chance of the test's
+    level. From the true figure `noticed` on, a build exceeds it nine times in ten. `others_too`: the boots without the
+    worst one also exceed their limit, at LEVEL_OF_OTHERS; false for a single boot, where this is not known.
     """
 
     reference: float
@@ -50,21 +52,21 @@ class Against:
 
     @property
     def worse(self) -> bool:
-        """Whether that is so, and not by one bad boot."""
+        """Whether the build is worse by more than the margin, and not because of one bad boot."""
         return self.exceeds and self.others_too
 
 
 def level_of_test(false_alarms: float, tests: int) -> float:
-    """The level of each of `tests` tests of a gate, so that a year of daily gates without a change has any false alarm
-    with the chance `false_alarms` at most (Bonferroni)."""
+    """The level of each of `tests` tests of a gate: in a year of daily gates without a change, the chance of any false
+    alarm is then at most `false_alarms` (Bonferroni)."""
     return false_alarms / (GATES_A_YEAR * tests)
 
 
 def best_level(history: Floats) -> tuple[Floats, float]:
-    """The lowest of the levels between the change points of a history (u,), among those of LEAST_BOOTS boots.
+    """The lowest level between the change points of a history (u,), among levels of at least LEAST_BOOTS boots.
 
-    So a build that made it worse does not become what the next ones are held against. The second value is the standard
-    deviation of boots within their levels: a level of few boots may be the lowest because they lie close together.
+    So a build that made things worse does not become the reference of the next builds. The second value is the standard
+    deviation of boots within all levels, because the few boots of one level may lie close together by chance.
     """
     stretches = [history[stretch] for stretch in levels(history)]
     squares = sum(float(((level - level.mean()) ** 2).sum()) for level in stretches)
@@ -78,12 +80,13 @@ def compare_figure(
 ) -> Against:
     """Compare boots of a build (k,) with those of its history (u,), LEAST_BOOTS at least: lower is better.
 
-    The margin of no concern is, unless given, a `share` of the reference, and `least` at least; in either case
-    LEAST_MARGIN spreads of a boot at least.
+    The margin of no concern, unless given, is a `share` of the reference, but at least `least`. In either case it is at
+    least LEAST_MARGIN spreads of a boot.
 
     The limit is that of a prediction for the mean of k boots (Student's t), with a tail as heavy as the kurtosis of the
-    reference tells: a t distribution with v degrees of freedom has the excess kurtosis 6 / (v - 4). The spread is the
-    larger of those on both sides of the median, so that a long upper tail counts whole, and of that in all levels.
+    reference shows: a t distribution with v degrees of freedom has the excess kurtosis 6 / (v - 4). The spread is the
+    largest of three: that of the reference, that of its values above the median (so that a long upper tail counts in
+    full), and that within all levels.
     """
     reference, within = best_level(history)
     mean = float(reference.mean())
@@ -105,7 +108,7 @@ def compare_figure(
 
 
 def _reach(old: int, new: int, spread: float, degrees: float, level: float) -> float:
-    """By how much the mean of `new` boots may lie above that of `old` ones, with the chance `level` of more."""
+    """How far the mean of `new` boots may lie above that of `old` ones; it lies higher with the chance `level`."""
     return student_quantile(1 - level, degrees) * spread * math.sqrt(1 / new + 1 / old)
 
 
@@ -127,8 +130,8 @@ def compare_misses(history: Boots, build: Boots, *, level: float) -> Against:
     """Compare P(miss) of a build with its history, from (measurements, misses) of each boot; the figure is P(miss).
 
     The build is worse where both hold: its share exceeds the limit for the shares of boots (`compare_figure`), and the
-    chance of its misses is below the level. The second speaks where the history has hardly any miss. For the chance of
-    the other boots, the worst one is of the history: so a burst of misses that it had may come a second time.
+    chance of its misses is below the level. The second matters where the history has hardly any miss. For the chance of
+    the other boots, the worst boot counts as history, so that a burst like the one that it had may come a second time.
     """
     against = compare_figure(_shares(history), _shares(build), margin=0.0, level=level)
     *others, worst = sorted(build, key=lambda boot: boot[1] / boot[0])
@@ -152,10 +155,10 @@ def _shares(boots: Boots) -> Floats:
 
 
 def _share_noticed(least: int, history: Boots, build: Boots) -> float:
-    """The share of misses of which such a build has the `least` number nine times in ten; 1 if none is known.
+    """The share of misses at which such a build has `least` misses or more nine times in ten; 1 if none is known.
 
-    Numbers are Poisson's, divided by the design effect. The rates of boots are some times as high or low as their mean:
-    so the design effect, less 1, is proportional to the share.
+    Numbers divided by the design effect are Poisson distributed. The rates of boots scatter in proportion to their
+    mean, so the design effect minus 1 is proportional to the share.
     """
     measured = sum(n for n, _ in build)
     share = sum(misses for _, misses in history) / sum(n for n, _ in history)

@@ -1,4 +1,4 @@
-"""What a layer adds to the one that it stands on, from runs of both that were measured in turn."""
+"""What a layer adds to the one below it, from runs of both that were measured in turn."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -38,7 +38,7 @@ class Added:
 
 @dataclass(frozen=True, kw_only=True)
 class Attribution:
-    """What a layer adds, a figure each; none where ``refused`` says why."""
+    """What a layer adds to each figure; nothing where ``refused`` says why."""
 
     added: tuple[Added, ...]
     refused: str | None = None
@@ -54,12 +54,12 @@ def attribute(
 ) -> Attribution:
     """What `upper` adds to `lower`, from runs of each layer that were measured in turn.
 
-    A quantile is told where each run has as many values as it takes to reach it, LATE where there is a deadline.
+    A quantile is reported where each run has enough values to reach it, LATE where there is a deadline.
 
-    The time at which a run began is a covariate: both layers are taken to drift by the same slope, which is fitted and
-    removed, so that a steady drift (temperature, load) is not added to the layer in whatever order the runs were. Runs
-    that were not measured in turn are refused: what drifted otherwise would be added. Raises ValueError when a run has
-    no measurement.
+    The start time of a run is a covariate. Both layers are assumed to drift by the same slope, which is fitted and
+    removed, so a steady drift (temperature, load) is not attributed to the layer, whatever the order of the runs. Runs
+    that were not measured in turn are refused: any other drift would be attributed to the layer. Raises ValueError when
+    a run has no measurement.
     """
     if min(len(lower), len(upper)) < _LEAST_RUNS:
         return Attribution(
@@ -97,11 +97,12 @@ def _added(figure: str, values: tuple[Floats, Floats], times_s: tuple[Floats, Fl
 
 def shift_without_drift(values: tuple[Floats, Floats], times_s: tuple[Floats, Floats]) -> tuple[float, float, float]:
     """The shift from the first to the second set of values, shapes (u,) and (v,), its standard error, and degrees of
-    freedom; of values whose times are known and that drift by a common slope.
+    freedom. The values have known times and drift by a common slope.
 
     Analysis of covariance (Cochran 1957) with a variance for each set: the shift is a weighted sum of the values, so
     its variance is the sum of the squared weights times the variances, and the degrees of freedom are those of Welch
-    and Satterthwaite. What the slope takes of the degrees of freedom is divided as the sums of squares of time are.
+    and Satterthwaite. The degree of freedom that the slope takes is divided between the sets in proportion to their
+    sums of squares of time.
     """
     from_mean_s = [times - times.mean() for times in times_s]
     squares = [float(each @ each) for each in from_mean_s]
@@ -124,7 +125,7 @@ def shift_without_drift(values: tuple[Floats, Floats], times_s: tuple[Floats, Fl
 
 
 def figure_of(run: Blocks, figure: str, *, late_above_ns: int = 0) -> float:
-    """The mean, a quantile by its name, in ns, or the share above a limit (LATE) of a run.
+    """A figure of a run: the mean or a quantile (by name) in ns, or the share above a limit (LATE).
 
     Raises ValueError when it has no measurement.
     """

@@ -1,1 +1,1 @@
-"""Dependence: what measurements are worth that are not independent, and the units that they come in."""
+"""Dependence: what dependent measurements are worth, and the units that they come in."""

@@ -19,9 +19,9 @@ _SEED = 20140715
 class Blocks:
     """Counts of bins in each block of a run: ``counts`` (b, m) for bins from ``values_ns`` (m,), ascending.
 
-    ``sums_ns`` (b,) are the sums of each block. ``ordered`` is False where a histogram was split at random, which
-    takes its measurements for independent. Bins are ``bin_ns`` wide; ``values_ns`` beyond a few thousand bins are
-    coarser. ``boot`` and ``start_time`` of the run are "" where they are not known.
+    ``sums_ns`` (b,) are the sums of each block. ``ordered`` is False where a histogram was split at random, as if its
+    measurements were independent. Bins are ``bin_ns`` wide; beyond a few thousand bins, ``values_ns`` are coarser.
+    ``boot`` and ``start_time`` of the run are "" where they are not known.
     """
 
     values_ns: Int64s
@@ -39,7 +39,7 @@ class Blocks:
 
     @property
     def length(self) -> float:
-        """Measurements a block."""
+        """Measurements per block."""
         return self.n / max(1, len(self.sums_ns))
 
 
@@ -81,7 +81,7 @@ def split_randomly(histogram: Histogram, blocks: int = BLOCKS) -> Blocks:
 
 
 def _columns(histogram: Histogram) -> Int64s:
-    """Lower edges of the columns: every filled bin, or each several-th of them where there are too many."""
+    """Lower edges of the columns: every filled bin, or one in several where there are too many."""
     values = histogram.values_ns
     return values[:: -(-values.size // _COLUMNS)] if values.size else values
 
@@ -123,7 +123,8 @@ def add_outputs(outputs: Sequence[Blocks]) -> Blocks:
     sums = np.zeros(rows)
     for one in outputs:
         at = np.searchsorted(columns, one.values_ns // width * width)
-        # An output that lost messages may have fewer blocks; what the others have more goes into their last one.
+        # An output that lost messages may have fewer blocks; the surplus blocks of the others are added to their last
+        # one.
         np.add.at(counts.T, at, np.add.reduceat(one.counts, np.arange(rows), axis=0).T)
         sums += np.add.reduceat(one.sums_ns, np.arange(rows))
     ordered = all(one.ordered for one in outputs)

@@ -54,7 +54,7 @@ def pool(parts: Iterable[Events]) -> Events:
 def design_effect(*parts: Events) -> float:
     """Variance of the number of events over that of independent ones (Kish 1965), at least 1.
 
-    How events scatter is measured in each part by its own share of them; pool parts whose shares are the same. The
+    The scatter of events is measured in each part against its own share; pool parts whose shares are the same. The
     effect is the largest index of dispersion of block counts over all block lengths that leave 16 blocks, among those
     that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed only once in two hundred times. For
     independent bursts of size S it tends to E[S^2]/E[S].
@@ -114,7 +114,7 @@ def chance_of_gaps(n: int, k: int, gap: int, short: int) -> float:
 def effect_of_few(positions: Int64s, loops: int) -> float:
     """Design effect of a few events, ascending positions (k,): sum of S^2 over sum of S of the bursts that they form.
 
-    Events belong to one burst when the distance between them is at most the longest one, below half the mean
+    Events belong to one burst when they are near enough. The limit is the longest distance, below half the mean
     distance, at which so many short ones are beyond chance (`chance_of_gaps`, 5 % after Bonferroni). The effect is
     that of a compound Poisson process (Adelson 1966).
     """
@@ -153,7 +153,8 @@ def burst_starts(positions: Int64s, theta: float) -> Int64s:
     between = min(gaps.size, max(0, math.floor(theta * positions.size) - 1))
     if between == 0:
         return np.zeros(1, np.int64)
-    # Several gaps may be as long as the shortest one between bursts. Which of them to take would be arbitrary: none is.
+    # Several gaps may be as long as the shortest one between bursts. Choosing among them would be arbitrary: none is
+    # taken.
     shortest = np.partition(gaps, gaps.size - between)[gaps.size - between]
     if np.count_nonzero(gaps >= shortest) > between and shortest < gaps.max():
         shortest += 1

@@ -1,6 +1,6 @@
 """Misses that lie near one another are one episode: how many there are, how long they last, and how often they come.
 
-How often says what no P(miss) does: a bound on it needs no assumption about how long episodes are.
+How often they come is more than P(miss) tells: a bound on it needs no assumption about the length of episodes.
 """
 
 import math
@@ -13,9 +13,9 @@ from rtrun.kinds.values import Int64s
 from rtrun.plan.question import STALL_NS
 
 _NS_PER_HOUR = 3.6e12
-# A loop in time between two misses ends neither a burst nor an episode, whatever the period is.
+# A single loop on time between two misses ends neither a burst nor an episode, whatever the period is.
 _LEAST_GAP = 2
-# So many places where episodes begin are kept: enough for the exact test of few.
+# How many starts of episodes are kept: enough for the exact test of few.
 _FEW = 20
 
 
@@ -24,7 +24,7 @@ class FoundEpisodes:
     """The episodes of one output of a run: where they begin, and the longest, in misses and from end to end in loops.
 
     ``begun_at`` are the loop positions of the first ones, int64 (e,). ``most_in_a_row`` is the longest burst: misses
-    that follow one another, a single loop in time between two of them aside.
+    that follow one another; a single loop on time between two of them does not count.
     """
 
     begun: Events
@@ -40,7 +40,7 @@ class Episodes:
 
     ``most_in_a_row`` is the longest burst (`FoundEpisodes`). ``longest_ns`` is None where the period is not known.
     ``per_hour_at_most`` bounds the episodes in an hour of a stream at the confidence asked for, however often somebody
-    looks; None where nothing does.
+    looks; None where there is no bound.
     """
 
     seen: int
@@ -51,9 +51,9 @@ class Episodes:
 
 
 def gap_loops(period_ns: float | None) -> int:
-    """From one miss to the next of the same episode are at most so many loops: 10 ms, but two at least.
+    """The most loops from one miss to the next of the same episode: 10 ms, but at least two.
 
-    A stall that a proof covers by default (`STALL_NS`) is then one episode, whatever is in time within it.
+    A stall that a proof covers by default (`STALL_NS`) is then one episode, even if loops within it are on time.
     """
     return _LEAST_GAP if period_ns is None else max(_LEAST_GAP, math.floor(STALL_NS / max(period_ns, 1.0) + 0.5))
 
@@ -75,5 +75,5 @@ def find_episodes(misses: Int64s, loops: int, period_ns: float | None) -> FoundE
 
 
 def per_hour(per_loop: float, period_ns: float) -> float:
-    """How many come in an hour, of so many in a loop."""
+    """The number per hour, from the number per loop."""
     return per_loop * _NS_PER_HOUR / period_ns

@@ -1,6 +1,6 @@
-"""Boots, and boards, count alike, however long each was measured: P(miss) is that of a boot like those measured.
+"""Boots count alike, and so do boards, however long each was measured: P(miss) is that of a boot like these.
 
-A boot that was measured for a hundred times as long as the others would else be the answer alone.
+Otherwise a boot that was measured a hundred times as long as the others would decide alone.
 """
 
 from collections.abc import Sequence
@@ -27,15 +27,15 @@ class CountedRun:
 
 
 def boots_of(runs: Sequence[Trials]) -> list[str]:
-    """The boot of each run; one of an unknown boot is a boot of its own."""
+    """The boot of each run; a run of an unknown boot is a boot of its own."""
     return [f"{run.board} {run.boot}" if run.boot else f" {run.run or index}" for index, run in enumerate(runs)]
 
 
 def count_alike(runs: Sequence[Trials]) -> list[CountedRun]:
-    """What each run counts for: a boot longer than half of all counts for no more than the one in the middle.
+    """What each run counts for: a boot that is longer than the median one counts for no more than that one.
 
-    So it is with boards. Shorter ones count for what they are: lengths say nothing of rates, so that whatever weights
-    depend on lengths alone estimate the same mean.
+    The same holds for boards. Shorter ones count in full. Lengths say nothing about rates, so all weights that depend
+    on lengths alone estimate the same mean.
     """
     counted = [CountedRun(n=run.n, misses=run.late + run.absent) for run in runs]
     for keys in (boots_of(runs), [run.board for run in runs]):

@@ -1,6 +1,6 @@
 """When did the level of a figure change? Boots in the order of time, each with one value of the figure.
 
-What differs from boot to boot is in the values, so that a boot that was a little slower is no change.
+The values include the differences between boots, so a single boot that was a little slower is no change.
 """
 
 import functools
@@ -52,9 +52,9 @@ def find_changes(values: Floats, *, confidence: float = 0.95) -> tuple[ChangePoi
     """Change points of values of units, shape (n,), in the order of time.
 
     PELT (Killick, Fearnhead & Eckley 2012) on the normal scores of the ranks, so that an outlier does not count for
-    more than its rank. The penalty of a change is what the best change of the same values gains in random order, alone
-    or as one of two around a stretch, in all but 1 - confidence of the orders. So it does not depend on how the values
-    are distributed, and a course without any change shows one at most so often.
+    more than its rank. The penalty of a change comes from random orders of the same values: in all but 1 - confidence
+    of them, the best change gains no more, alone or as one of two around a stretch. So the penalty does not depend on
+    how the values are distributed, and a course without a change shows one with a chance of at most 1 - confidence.
     """
     ends = _ends_of_levels(values, confidence)
     rng = np.random.default_rng(SEED)
@@ -84,7 +84,7 @@ def _ends_of_levels(values: Floats, confidence: float) -> list[int]:
 
 @functools.lru_cache(maxsize=1024)
 def _penalty(sorted_ranks: bytes, confidence: float) -> float:
-    """What the best change gains in random order. It depends on the ranks alone: without ties, on how many there are.
+    """What the best change gains in random order. It depends on the ranks alone: without ties, on their number.
 
     `sorted_ranks` are float64.
     """
@@ -96,7 +96,7 @@ def _penalty(sorted_ranks: bytes, confidence: float) -> float:
 
 
 def _normal_scores(ranked: Floats) -> Floats:
-    """Standard normal quantiles of ranks (van der Waerden), of which ties have their mean; the scores' mean is 0."""
+    """Standard normal quantiles of ranks (van der Waerden); ties have the mean of their ranks. The mean score is 0."""
     scores = normal_quantiles(ranked / (ranked.size + 1))
     return np.asarray(scores - scores.mean())
 
@@ -131,7 +131,7 @@ def _gains_of_stretches(rows: Floats) -> Floats:
 def _change(values: Floats, place: int, start: int, confidence: float, rng: np.random.Generator) -> ChangePoint:
     """A change at `place` of the values of two neighbouring levels, which begin at unit `start`.
 
-    The interval of its place: both levels are drawn anew with replacement, and the best split of each draw counts.
+    The interval of its place: both levels are resampled with replacement, and each sample gives its best split.
     """
     before, after = values[:place], values[place:]
     draws = np.concatenate(

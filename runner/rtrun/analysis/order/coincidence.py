@@ -1,4 +1,4 @@
-"""Which of many quantities was unusual in the intervals of time in which the highest values came?"""
+"""Which of many quantities were unusual in the time intervals with the highest values?"""
 
 from dataclasses import dataclass
 
@@ -34,12 +34,12 @@ class Coincidence:
 def find_coincidences(quantities: Floats, highest: Floats) -> tuple[Coincidence, ...]:
     """The quantities (m, n) that are higher or lower than usual in the intervals with the highest of `highest` (n,).
 
-    Each quantity is replaced by the normal score of its rank beyond the median of its neighbourhood, so that neither a
-    drift of both nor its unit matters. The statistic is its sum over the late intervals, the highest weighted most.
-    Under the null hypothesis the late intervals may be shifted against the quantities, in a circle, which keeps the
-    dependence of each on its own past; all n shifts are tried. The largest statistic of all quantities at each shift
-    gives p-values that hold for all of them together (Westfall & Young 1993, Resampling-Based Multiple Testing, section
-    2.3). Most significant first.
+    Each quantity is replaced by normal scores of its distances from the median of the neighbourhood, so that neither a
+    common drift nor its unit matters. The statistic is the sum of the scores over the late intervals, the highest
+    weighted most. Under the null hypothesis the late intervals may be shifted against the quantities in a circle, which
+    keeps the dependence of each series on its own past; all n shifts are tried. The largest statistic of all quantities
+    at each shift gives p-values that hold for all of them together (Westfall & Young 1993, Resampling-Based Multiple
+    Testing, section 2.3). Most significant first.
     """
     rows, n = quantities.shape
     if n < LEAST_INTERVALS or rows == 0:

@@ -37,8 +37,8 @@ RETURNS = 5
 
 
 def slowest_load(length: float) -> float:
-    """How long a load may take to come and go, both together, so that joined runs of this length can judge it: it is
-    left and entered again five times then, whatever part of it they begin in."""
+    """The longest time that a load may take to come and go so that joined runs of this length can judge it: they then
+    see it left and entered again five times, whatever part of it they begin in."""
     return length / (RETURNS + 1)
 
 
@@ -46,9 +46,9 @@ def slowest_load(length: float) -> float:
 class Boot:
     """The runs of one boot, joined in the order of time.
 
-    `loops` of a run count once, however many subscribers measured in it. `missed_at` and `high_at` are the places of
-    misses and of high values among them, `highest_at` those of the highest 200, at most a twentieth of all: int64 (k,),
-    ascending. `missed_at` is None where a log kept no order.
+    `loops` counts the loops of a run once, however many subscribers measured in it. `missed_at` and `high_at` are the
+    places of misses and of high values among these loops, `highest_at` those of the highest 200, at most a twentieth of
+    all: int64 (k,), ascending. `missed_at` is None where a log kept no order.
     """
 
     board: str
@@ -73,7 +73,7 @@ class Boot:
 class Constancy:
     """The strongest sign that the process did not stay the same, None where there is none beyond chance.
 
-    `in_time`: one of the signs is from earlier to later.
+    `in_time`: one of the signs is a change over time.
     `clusters` are (loops, misses) of each turn of a load that comes and goes, where there is one.
     """
 
@@ -123,9 +123,9 @@ def _ascending(places: Sequence[Int64s]) -> Int64s:
 
 
 def high_limit(trials: Sequence[Trials]) -> int:
-    """The height in ns from which on values of all these runs are high ones.
+    """The height in ns from which on the high values of all these runs are known.
 
-    Each run keeps its own highest only: what is as high as the lowest of every run is known of all.
+    Each run keeps only its own highest values, so this is the largest of their minima.
     """
     return max((int(run.high_ns.min()) for run in trials if run.high_ns.size), default=0)
 
@@ -135,7 +135,7 @@ def examine_constancy(
 ) -> Constancy:
     """Look for changes within runs, from run to run and from boot to boot, and for a boot that misses too often alone.
 
-    Heights change nothing while twice the highest one is below the deadline: misses alone are looked at then.
+    Heights do not matter while twice the highest one is below the deadline: then only misses are examined.
     """
     worst_ns = max((run.worst_ns for boot in boots for run in boot.trials if run.worst_ns is not None), default=0)
     of_heights = deadline_ns is None or 2 * worst_ns >= deadline_ns
@@ -148,7 +148,7 @@ def examine_constancy(
         if visits is not None:
             clusters += _turns(boot, visits)
         else:
-            # Beside a load that comes and goes runs are not independent.
+            # With a load that comes and goes, runs are not independent.
             runs.append(runs_of(boot.trials))
     levels = (
         within,
@@ -170,9 +170,9 @@ def examine_constancy(
 
 
 def find_climbs(boots: Sequence[Boot], deadline_ns: int) -> tuple[Climb, ...]:
-    """How the levels of the boots of each board go on, and those of the runs of each boot, as far as there are some."""
+    """How levels climb from boot to boot of each board, and from run to run of each boot, where there are several."""
     if not all(run.boot for boot in boots for run in boot.trials):
-        # Runs of an unknown boot are a boot each, as far as one may be.
+        # Each run of an unknown boot is a boot of its own here, so the units are called runs.
         climb = find_climb("run", _by_board(boots), deadline_ns)
         return () if climb is None else (climb,)
     of_boots = find_climb("boot", _by_board(boots), deadline_ns)
@@ -189,7 +189,7 @@ def _by_board(boots: Sequence[Boot]) -> list[list[Unit]]:
 
 
 def _strongest(changes: Sequence[Change]) -> Change | None:
-    """The most significant change, if it is one among so many tests (Bonferroni)."""
+    """The most significant change, if it is significant among so many tests (Bonferroni)."""
     strongest = min(changes, key=lambda change: change.p_value / change.significant, default=None)
     seen = strongest is not None and strongest.p_value * len(changes) < strongest.significant
     return strongest if seen else None

@@ -1,4 +1,4 @@
-"""Do events come at a fixed distance, or anywhere alike? Bursts count once."""
+"""Do events come at a fixed distance, or evenly anywhere? Bursts count once."""
 
 from collections.abc import Sequence
 
@@ -18,8 +18,8 @@ def burst_peaks(positions: Sequence[int], loops: int) -> Int64s:
 def evenly_spread_p(places: NDArray[np.float64]) -> float:
     """The p-value that places, as parts of 1, are spread evenly: two-sided test of Kolmogorov and Smirnov.
 
-    Twice the exact p of one side (Birnbaum & Tingey 1951): above 0.1 too high, below exact to 1 in 10^4, as both sides
-    are seldom so far off.
+    Twice the exact one-sided p (Birnbaum & Tingey 1951). Above 0.1 it is too high; below, it is exact to 1 in 10^4,
+    because both sides are seldom so far off.
     """
     ordered = np.sort(places)
     steps = np.arange(ordered.size + 1) / ordered.size

@@ -12,20 +12,20 @@ from rtrun.kinds.values import Int64s
 
 ALPHA = 0.002
 LEAST_LOOPS = 20  # that a period has
-# Cycles of a period in a run. An eighth of the run has eight; the frequency that fits best may be a little lower.
+# A period has at least so many cycles in a run. An eighth of the run has eight; the best fit may be a little lower.
 LEAST_CYCLES = 7.5
 LEAST_COVERED = 0.6  # of the cycles have an event
-# So many of the highest values are tried, and twice as many each time: one of the numbers is near that of the cycles.
-# The last one keeps the search short.
+# So many of the highest values are tried, then twice as many each time: one of the numbers is near that of the cycles.
+# The largest number keeps the search short.
 _LEAST_COUNT = 8
 _COUNT_MAX = 1 << 16
-# With n events those periods are tried that fit n / 4 to 2 n times into the run.
+# With n events, periods are tried that fit n / 4 to 2 n times into the run.
 _FEWER, _MORE = 4, 2
 # If half of the cycles have an event, these are n / 8 events at least, with a power of n / 64. The width of bins takes
-# some of it. What has less is not looked at.
+# some of it. Frequencies with less are not examined.
 _LEAST_POWER = 0.01
-# So many times as long as the data the transform is, with zeros behind them: without zeros a frequency between two that
-# are tried keeps 40 % of its power only.
+# The transform is so many times as long as the data, filled with zeros. Without them, a frequency between two that are
+# tried keeps only 40 % of its power.
 _PADDED = 2
 # A period of so many bins keeps most of its power.
 _BINS_OF_PERIOD = 8
@@ -37,8 +37,8 @@ _NEAR = (0.15, 0.05, 0.02)  # of a period
 class Recurrence:
     """Events every `period`, in the unit of their positions; `covered` of `cycles` periods have one.
 
-    They are among the `late` highest values. `p_value` is the probability that values without any period fit one of
-    those tried as well, at most.
+    They are among the `late` highest values. `p_value` is at least the probability that values without any period fit
+    one of the tried periods as well.
     """
 
     period: float
@@ -49,7 +49,7 @@ class Recurrence:
 
 
 def counts_tried(values: int) -> Iterator[int]:
-    """How many of so many values are taken for late: up to two for each of the shortest period."""
+    """How many of the highest of so many values count as late: up to two for each cycle of the shortest period."""
     count = _LEAST_COUNT
     while count <= min(_COUNT_MAX, 2 * values // LEAST_LOOPS):
         yield count
@@ -57,29 +57,28 @@ def counts_tried(values: int) -> Iterator[int]:
 
 
 def find_recurrence(places: Int64s, *, begin: int, end: int, values: int, searches: int = 1) -> Recurrence | None:
-    """The period of the highest of so many `values`, measured between `begin` and `end`; None where none is
-    significant.
+    """The period of the highest of so many `values`, from `begin` to `end`; None where none is significant.
 
-    `places` (k,) are those of the highest, the highest first, as many as the largest of `counts_tried`. `searches` is
-    the number of searches of which this is one.
+    `places` (k,) are the places of the highest values, highest first, as many as the largest of `counts_tried`. This is
+    one of `searches` searches.
 
     The frequency of the highest power |sum exp(2 pi i f t)|^2 / n is found by a fast Fourier transform, for each
-    count in turn. Its test is the number of points within an arc of the circle of phases (`_chance_of_arc`): of eight
-    events the power could not be significant, however exactly they come. A point is the mean of the events of a
+    count in turn. Its test is the number of points within an arc of the circle of phases (`_chance_of_arc`): with eight
+    events, the power could not be significant, however exactly they come. A point is the mean of the events of a
     period, because events that come in bursts depend on each other. The p-value is corrected after Bonferroni for
     counts, searches, arcs, and frequencies that an arc tells apart.
     """
     loop = max(1, (end - begin) // values)
     counts = list(counts_tried(values))
     found = [_find(np.sort(places[:count]) - begin, end - begin, loop) for count in counts]
-    # Chances that are too small for a float are 0. Among these the period wins that has events in more of its cycles.
+    # Chances that are too small for a float are 0. Among these, the period with events in more of its cycles wins.
     best = min((one for one in found if one), key=lambda one: (one.p_value, -one.covered / one.cycles), default=None)
     if best is None:
         return None
     p_value = min(1.0, best.p_value * len(counts) * searches)
     if p_value > ALPHA:
         return None
-    # The count with the best chance may be lower than the number of cycles: the count is told that covers most of them.
+    # The count with the best chance may be lower than the number of cycles. The count that covers most of them is kept.
     alike = (one for one in found if one and abs(one.period - best.period) < min(_NEAR) * best.period)
     return replace(max(alike, key=lambda one: (one.covered / one.cycles, -one.late)), p_value=p_value)
 
@@ -87,7 +86,7 @@ def find_recurrence(places: Int64s, *, begin: int, end: int, values: int, search
 def _find(late: Int64s, length: int, loop: int) -> Recurrence | None:
     """The period that fits best, corrected for frequencies and arcs.
 
-    Values nearer than half of the shortest period to the one before are of one burst, which counts once.
+    Values nearer than half of the shortest period to the one before belong to its burst, which counts once.
     """
     shortest = LEAST_LOOPS * loop
     events = late[np.diff(late, prepend=-shortest) > shortest // 2]
@@ -117,8 +116,8 @@ def _find(late: Int64s, length: int, loop: int) -> Recurrence | None:
 
 
 def _phases(events: Int64s, frequency: float) -> NDArray[np.float64]:
-    """The mean direction of the events of each period that has some, in turns from that of all, -0.5 to 0.5: several of
-    one period may depend on each other."""
+    """The mean direction of the events of each period that has any, in turns (-0.5 to 0.5) from the direction of all
+    events: those of one period may depend on each other."""
     vectors = np.exp(2j * np.pi * frequency * events)
     common = vectors.sum()
     phase = float(np.angle(common)) / (2 * np.pi)
@@ -128,10 +127,10 @@ def _phases(events: Int64s, frequency: float) -> NDArray[np.float64]:
 
 
 def _chance_of_arc(phases: NDArray[np.float64], arc: float, step: float) -> float:
-    """The chance that some arc, a part of a circle, holds as many of n even points as one does, at most.
+    """An upper bound of the chance that some arc, a part of a circle, holds as many of n even points as here.
 
-    An arc that holds the most begins at one of the points: n P(Bin(n - 1, arc) >= most - 1), Boole's bound. Places in
-    steps, a part of the circle, may bring as many into an arc as a step more holds.
+    An arc that holds the most begins at one of the points: n P(Bin(n - 1, arc) >= most - 1), Boole's bound. Where
+    places come in steps (`step`, a part of the circle), an arc may get as many as one that is a step longer.
     """
     ordered = np.sort(phases)
     around = np.concatenate((ordered, ordered + 1))
@@ -141,11 +140,11 @@ def _chance_of_arc(phases: NDArray[np.float64], arc: float, step: float) -> floa
 
 
 def _period(events: Int64s, frequency: float) -> float:
-    """The median slope of events near the common phase against the number of their period: one of no period would
-    shift a mean.
+    """The median slope of events near the common phase against the number of their period: an event that belongs to no
+    period would shift a mean.
 
-    The slopes are those of as many pairs as there are events, each half of them apart, of events nearer and nearer to
-    the phase (Theil's incomplete method, 1950).
+    Each event of the first half is paired with its counterpart in the second half (Theil's incomplete method, 1950).
+    The events used lie nearer and nearer to the phase.
     """
     phase = float(np.angle(np.exp(2j * np.pi * frequency * events).sum())) / (2 * np.pi)
     for near in _NEAR:
@@ -175,8 +174,8 @@ def _refine(events: Int64s, frequency: float, length: int) -> float:
 
 
 def _fundamental(events: Int64s, frequency: float, length: int, lowest: float) -> float:
-    """The lowest frequency that explains as much, `lowest` cycles in the run at least: every multiple of it has much
-    of its power, no part any."""
+    """The lowest frequency that explains as much, with at least `lowest` cycles in the run: every multiple of it has
+    much of its power, no fraction has any."""
     power = _power(events, frequency)
     for parts in range(int(frequency * length / lowest), 1, -1):
         lower = frequency / parts

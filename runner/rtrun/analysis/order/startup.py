@@ -1,9 +1,8 @@
-"""Where a start-up ends: the first loops of runs that are worse than what follows, and fade (caches, page faults, a
-governor that ramps up).
+"""Where a start-up ends: the first loops are worse, then this fades (caches, page faults, a governor that ramps up).
 
 Blocks of consecutive loops are compared by their ranks. In a run that stays the same, however dependent its values are,
-each of m blocks is the worst one with the chance 1/m. So nothing but the place of the bad blocks is a sign: one burst
-or one load at the start of one run is none, the start of most runs is.
+each of m blocks is the worst one with the chance 1/m. So only the place of the bad blocks is a sign. One burst or one
+load at the start of one run is none; bad first blocks in most runs are one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,38 +18,39 @@ from rtrun.kinds.values import Int64s
 
 # Below this chance the first loops are a start-up, after Bonferroni for all lengths, patterns and kinds of events.
 SIGNIFICANT = 0.001
-# No more than this part of the shortest run is left out.
+# At most one part in so many of the shortest run is left out.
 MOST = 5
 # The shortest blocks, in loops. Longer ones have twice, four times, ... as many.
 BLOCK = 32
-# Of each length so many first blocks are kept, and so many of the others, in pairs of neighbours, from all of the run.
+# For each length, so many first blocks are kept, and so many of the others: pairs of neighbours from all of the run.
 _FIRST, _OTHERS = 16, 112
 # Patterns: the first 1, 2 or 3 blocks are the worst ones, each worse than the next.
 _PATTERNS = 3
-# Neighbours that are more alike are no blocks whose order means something (correlation).
+# If neighbours correlate more than this, the order of blocks means nothing.
 _ALIKE = 0.25
-# Ends of a start-up that are tried, in blocks; of the shortest blocks those of 2 and 3, too.
+# Ends of a start-up that are tried, in blocks; 2 and 3 only for the shortest blocks.
 _ENDS = (2, 3, 4, 5, 6, 7)
-# What lies between an end and twice the end is not worse than the rest: below so many standard errors.
+# Faded: between an end and twice the end, the excess over the rest is at most so many standard errors.
 _FADED = 1.64
-# Nor is it after any longer one, where many are looked at.
+# The limit for all longer ends; it is higher because these are many.
 _SURELY_FADED = 4.0
-# Or, at the longest that may be left out, it is so small a part of what lies before.
+# Or it is at most this part of the excess before the end. For the chosen end, this counts only at the longest one.
 _REST = 0.2
 _QUANTILES_OF = 16384
-# The lowest level is passed by an eighth of all values, each further one by half as many, the highest by so many.
+# An eighth of all values exceed the lowest level, half as many each further one, at least so many the highest.
 _LOWEST, _LEAST_ABOVE = 3, 50
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Head:
-    """How bad the first blocks of one output of a run are beside all others, for each length of blocks.
+    """How bad the first blocks of one output of a run are compared with all others, for each length of blocks.
 
-    Of each kind of events (high values, misses) and each length, float64 (kinds, lengths): ``blocks`` are compared, 0
-    where there is no event, and ``worst`` of them are the worst ones. The first ``leading`` are worse than all others,
-    each worse than the next; the first alone may be one of several worst ones. ``variance`` is that of the blocks
-    behind the first ones, ``covariance`` that of neighbours. ``before`` and ``behind`` (kinds, lengths, ends) are how
-    much more than there lies before each end, and between it and twice the end. ``loops`` are those of the run.
+    Tables are float64 (kinds, lengths), for each kind of events (high values, misses) and each length. ``blocks`` is
+    the number of blocks compared, 0 where there is no event; ``worst`` of them are the worst ones. The first
+    ``leading`` are worse than all others, each worse than the next; where this is 1, the first may share the worst
+    count with others. ``variance`` is that of the blocks behind the first ones, ``covariance`` that of neighbours.
+    ``before`` and ``behind`` (kinds, lengths, ends) are the excess of events over the mean of those blocks: before each
+    end, and between it and twice the end. ``loops`` are those of the run.
     """
 
     loops: int
@@ -65,7 +65,7 @@ class Head:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StartUp:
-    """The first `loops` of each run are worse than what follows, by chance with ``p_value``, and have faded then."""
+    """The first `loops` of each run are worse than what follows (by chance with ``p_value``); then it has faded."""
 
     loops: int
     p_value: float
@@ -73,7 +73,7 @@ class StartUp:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LeftOut:
-    """What of a verdict is left out as start-up: the first `loops` of each run, with the misses in all of them."""
+    """What a verdict leaves out as start-up: the first `loops` of each run, with the misses in all of them."""
 
     loops: int
     late: int
@@ -94,17 +94,17 @@ def left_out(startup: StartUp, heads: Sequence[Trials]) -> LeftOut:
 
 
 def split(values_ns: Int64s, absent: Int64s, deadline_ns: int, loops: int) -> tuple[Trials, Int64s, Int64s]:
-    """The trials of the first loops of an output, and the values and absent places of what follows, as `head_of`."""
+    """The trials of the first loops of an output, and the values and absent places of what follows, as in `head_of`."""
     missing = int(np.searchsorted(absent, loops))
     came = min(loops - missing, values_ns.size)
     return count_misses(values_ns[:came], deadline_ns, absent[:missing]), values_ns[came:], absent[missing:] - loops
 
 
 def head_of(values_ns: Int64s, absent: Int64s, deadline_ns: int) -> Head:
-    """What is kept of the start of one output: values are int64 (n,) in loop order, `absent` (a,) the loop positions of
-    what never came, ascending. What never came is above all levels."""
+    """What is kept of the start of one output: values are int64 (n,) in loop order, `absent` (a,) the ascending loop
+    positions of values that never came. These count as above all levels."""
     loops = values_ns.size + absent.size
-    # Down to the length of which a fifth of the run holds 4 blocks, and the run 20.
+    # Lengths up to the one of which a fifth of the run holds 4 blocks, and the run 20.
     lengths = max(0, (loops // (4 * MOST * BLOCK)).bit_length())
     whole = loops // BLOCK
     tables = [np.zeros((2, lengths)) for _ in range(5)]
@@ -139,7 +139,7 @@ def _events(values_ns: Int64s, absent: Int64s, deadline_ns: int) -> Iterator[tup
     levels = _levels(values_ns)
     high = np.flatnonzero(values_ns > levels[0])
     heights = values_ns[high]
-    # Misses are among the high values, unless more than these are late.
+    # Misses are among the high values, unless more values than these are late.
     late = (
         high[are_late(heights, deadline_ns)]
         if deadline_ns >= levels[0]
@@ -157,9 +157,9 @@ def _events(values_ns: Int64s, absent: Int64s, deadline_ns: int) -> Iterator[tup
 
 
 def _levels(values_ns: Int64s) -> Int64s:
-    """The levels of high values, ascending, int64 (l,), from values that are evenly taken.
+    """The levels of high values, ascending, int64 (l,), from an even sample of the values.
 
-    The lowest one is that of the second half, too: a long start-up must not hide its own end.
+    The lowest level of the second half is one of them: a long start-up must not hide its own end.
     """
     sample = values_ns[:: max(1, values_ns.size // _QUANTILES_OF)]
     if not sample.size:
@@ -171,7 +171,7 @@ def _levels(values_ns: Int64s) -> Int64s:
 
 
 def _passed_by(values_ns: Int64s, counts: Int64s) -> Int64s:
-    """The values that so many others pass."""
+    """The values that so many others exceed."""
     return np.sort(values_ns)[values_ns.size - 1 - counts]
 
 
@@ -208,8 +208,8 @@ def find_startup(runs: Sequence[Sequence[Head]]) -> StartUp | None:
     runs is binomial (with unlike chances it is narrower: Hoeffding 1956). For j = 1 stationarity is enough; for j > 1,
     without which a single run shows nothing, neighbouring blocks must not be alike.
 
-    It ends with the first of the lengths tried after which as many loops again are not worse than the rest, by what
-    chance makes, or with the longest one, if a fifth is left of what it was.
+    It ends with the first of the lengths tried after which as many loops again are not worse than the rest beyond
+    chance; or with the longest one, if at most a fifth of the excess is left after it.
     """
     runs = [run for run in runs if run]
     lengths = min((head.blocks.shape[1] for run in runs for head in run), default=0)
@@ -251,9 +251,9 @@ def _chances(runs: Sequence[Sequence[Head]], blocks: Floats, worst: Floats, alik
 
 
 def _end(most: int, blocks: Floats, variance: Floats, before: Floats, behind: Floats) -> int | None:
-    """The end of a start-up in loops, at most so many; None where it does not fade.
+    """The end of a start-up in loops, at most `most`; None where it does not fade.
 
-    Tables are (runs, kinds, lengths), the last two with (ends) behind.
+    Tables are (runs, kinds, lengths); the last two also have (ends).
     """
     end = np.array(_ENDS)
     others = np.maximum(blocks - _FIRST, 1)[..., None]
@@ -267,7 +267,7 @@ def _end(most: int, blocks: Floats, variance: Floats, before: Floats, behind: Fl
         if (length == 0 or number >= _ENDS[-1] / 2) and BLOCK * (number << length) <= most
     ]
     lengths, places = np.array(tried).T[1:]
-    # (kinds, tried); whether nothing is left there, beyond chance or at all.
+    # (kinds, tried): whether nothing is left after an end, by the limit for the chosen end and by that for longer ones.
     faded, over = (
         (behind <= most * error)[:, lengths, places] | (small[:, lengths, places] & is_enough)
         for most, is_enough in ((_FADED, np.arange(len(tried)) == len(tried) - 1), (_SURELY_FADED, True))

@@ -22,7 +22,7 @@ _LEAST_FOR_PARTS = 5 * PARTS
 class Change:
     """A sign that it did not stay the same, seen if ``p_value`` is below ``significant``.
 
-    ``what`` is that in words. ``p_value`` is corrected for all tests made in the run. Where a load comes and goes,
+    ``what`` says that in words. ``p_value`` is corrected for all tests made in the run. Where a load comes and goes,
     ``missing_loops`` more would show whether that goes on.
     """
 
@@ -41,7 +41,7 @@ def test_of_parts(positions: Int64s, loops: int) -> tuple[float, Int64s]:
 
 
 def test_of_ends(positions: Int64s, loops: int) -> tuple[float, int, float]:
-    """P-value of the test that events do not gather at one end of a run; the number that does, and in what fraction.
+    """P-value of the test that events do not gather at one end of a run, how many do, and in what fraction of it.
 
     For uniform places the j-th event from an end lies within a fraction f of it with the chance P(Bin(k, f) >= j).
     That is exact (order statistics; David & Nagaraja 2003, section 2.1), taken at j = 1, 2, 4, ... from both ends and
@@ -74,8 +74,8 @@ def find_change(positions: Int64s, loops: int, events: str, significant: float =
 
 
 def count_until(positions: Int64s, ends: Int64s) -> Int64s:
-    """How many events at ascending positions, int64 (k,), lie before each of ascending ends, (m,), and not before the
-    end before it."""
+    """How many events at ascending positions, int64 (k,), lie between each of ascending ends (m,) and the previous
+    one."""
     return np.diff(np.searchsorted(positions, ends), prepend=0).astype(np.int64)
 
 

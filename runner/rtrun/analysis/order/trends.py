@@ -1,7 +1,7 @@
-"""Do runs, or boots, get worse one after the other? Each by its own level: steep trends are seen like flat ones.
+"""Do runs, or boots, get worse one after the other? Each has a level of its own: steep trends are seen like flat ones.
 
-The level of a unit is a height that the same share of its values exceeds as of all other units: however long each was
-measured, they compare.
+The level of a unit is a height that a certain share of its values exceeds, the same for all units: so units compare,
+however long each was measured.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,17 +23,18 @@ from rtrun.analysis.order.units_in_order import find_common_order, find_order, s
 from rtrun.analysis.trials import Trials
 from rtrun.kinds.values import Int64s
 
-# Of units there are fewer still. Five boots, each worse than the last, have the chance 2/120.
+# Higher than for events, because units are few: five boots, each worse than the last, have the chance 2/120.
 _SIGNIFICANT_OF_LEVELS = 0.02
 _SIGNIFICANT_OF_MISSES = 0.05
 LEAST_UNITS = 5
 # The chance with which a trend of the smallest size that is stated is seen.
 _POWER = 0.9
 _WORSE = ("last", "rising")
-# So much steeper than for a line's slope a climb has to be for ranks: simulated for 5 to 40 units in 1 to 6 strata.
+# The test of ranks needs a climb so much steeper than the test of a line's slope: simulated for 5 to 40 units in 1 to 6
+# strata.
 _OF_RANKS, _OF_FEW_RANKS, _MANY = 1.25, 1.75, 8
-# A level is exceeded so often in a unit of the lower quartile of lengths, or by less where more units have it then. Of
-# many, single misses are a small part.
+# So many values exceed the level in a unit of the lower quartile of lengths; fewer, where more units then have a level.
+# Among many, single misses are a small part.
 _EXCEEDED = (100, 20, 10, 5)
 _LEAST_EXCEEDED = 5
 
@@ -43,10 +44,10 @@ Unit = Sequence[Trials]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Climb:
-    """How the levels of units go on: `smallest_ns` a unit is the smallest climb that so many `units` would have shown.
+    """How levels of units climb: `smallest_ns` per unit is the smallest climb that so many `units` would have shown.
 
-    It would have been seen nine times in ten; None where so few could show none. Where the highest values climb,
-    `reached_after` more units of that kind reach the deadline at the pace seen.
+    It would have been seen nine times in ten; None where the units are too few to show any. Where the highest values
+    climb, they reach the deadline after `reached_after` more units of that kind at the pace seen.
     """
 
     unit: Literal["run", "boot"]
@@ -56,7 +57,7 @@ class Climb:
 
 
 def runs_of(trials: Sequence[Trials]) -> list[Unit]:
-    """The runs of trials, in their order: the outputs of each."""
+    """The runs of trials in their order, each with its outputs."""
     runs: dict[str, list[Trials]] = {}
     for index, one in enumerate(trials):
         runs.setdefault(one.run or str(index), []).append(one)
@@ -64,16 +65,16 @@ def runs_of(trials: Sequence[Trials]) -> list[Unit]:
 
 
 def changes_between(strata: Sequence[Sequence[Unit]], name: str, *, of_heights: bool) -> Iterator[Change]:
-    """Yield a sign of misses and one of heights that the order of units matters, which follow one another in a stratum.
+    """Yield signs, in misses and in heights, that the order of units matters; units follow one another in a stratum.
 
-    `name` is what they are, in the plural.
+    `name` is what the units are, in the plural.
     """
     strata = [units for units in strata if len(units) > 1]
     if order := find_order([_miss_rates(units) for units in strata], by_height=True):
         text = f"misses come more often {order.words(name)}"
         yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_MISSES, text=text)
     order = find_order(levels_ns(strata), by_height=False) if of_heights else None
-    # Heights that fall prove no less.
+    # Falling heights do not weaken a proof.
     if order is not None and order.where in _WORSE:
         text = f"high values are higher {order.words(name)}"
         yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_LEVELS, text=text)
@@ -89,7 +90,7 @@ def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Cha
         (of_high, "high values come more often", SIGNIFICANT),
     ):
         order = find_common_order(np.array(counts, np.float64)) if counts else None
-        # What each run has at its start fades: longer runs have less of it.
+        # An effect at the start of each run fades: longer runs have less of it.
         if order is not None and order.where in _WORSE:
             text = f"{events} {order.words('pieces')} of each run, cut into {PIECES}"
             yield Change(p_value=order.p_value, significant=significant, text=text)
@@ -112,7 +113,7 @@ def _miss_rates(units: Sequence[Unit]) -> Floats:
 
 
 def levels_ns(strata: Sequence[Sequence[Unit]]) -> list[Floats]:
-    """The own level of each unit in ns, of each stratum those that have one; empty where most have none."""
+    """The level in ns of each unit that has one, by stratum; empty where more than a quarter of the units have none."""
     every = [unit for units in strata for unit in units]
     usual = float(np.quantile([_loops(unit) for unit in every], 0.25)) if every else 0.0
     best: list[Floats] = []
@@ -125,7 +126,7 @@ def levels_ns(strata: Sequence[Sequence[Unit]]) -> list[Floats]:
 
 
 def _level_ns(unit: Unit, share: float) -> int | None:
-    """The height that this share of a unit's values reach; None where so few do, or where no value below is known."""
+    """The height that this share of a unit's values reach; None if these are too few, or not all of them were kept."""
     number = round(share * _loops(unit))
     known = [one.high_ns for one in unit if one.high_ns.size]
     if number < _LEAST_EXCEEDED or len(known) < len(unit):
@@ -134,12 +135,12 @@ def _level_ns(unit: Unit, share: float) -> int | None:
     if highest.size < number:
         return None
     level = int(np.partition(highest, highest.size - number)[highest.size - number])
-    # Below the lowest of the high values of one run, others of it are not known.
+    # Below the lowest of the high values of a run, its values are not known.
     return level if level >= max(int(high.min()) for high in known) else None
 
 
 def find_climb(unit: Literal["run", "boot"], strata: Sequence[Sequence[Unit]], deadline_ns: int) -> Climb | None:
-    """How the levels of runs or boots go on; None where there are not two in any stratum."""
+    """How the levels of runs or boots climb; None where no stratum has two."""
     strata = [units for units in strata if len(units) > 1]
     if not strata:
         return None
@@ -153,7 +154,7 @@ def find_climb(unit: Literal["run", "boot"], strata: Sequence[Sequence[Unit]], d
 
 
 def _smallest_ns(strata: Sequence[Floats]) -> float | None:
-    """The slope in ns a unit that so many units show nine times in ten: by the power of the test of a line's slope."""
+    """The slope in ns per unit that so many units show nine times in ten, from the power of the test of a slope."""
     units, spread = sum(levels.size for levels in strata), sum(_of_places(levels.size) for levels in strata)
     degrees = units - len(strata) - 1
     if units < LEAST_UNITS or degrees < 1:

@@ -15,7 +15,7 @@ from rtrun.analysis.chance.ranks import ranks
 
 SEED = 20140715
 _PERMUTATIONS = 999
-# So many are made at a time: of ten thousand units they take 9 MiB.
+# How many random orders are made at a time: for ten thousand units they take 9 MiB.
 _AT_A_TIME = 111
 # Less than so many standard deviations are no sign, and need no permutations.
 _LEAST = 1.5
@@ -77,7 +77,7 @@ def find_common_order(runs: Floats) -> Order | None:
     runs = runs - runs.mean(axis=1, keepdims=True)
     runs = runs / np.sqrt((runs**2).sum(axis=1, keepdims=True))
     numbers = _numbers(m)
-    # What each sign of each run is in each shift of it: (m shifts, r, signs).
+    # Each sign of each run, in each shift of the run: (m shifts, r, signs).
     shifted = np.stack([np.roll(runs, shift, axis=1) for shift in range(m)]) @ _weights(m, numbers)
     observed = shifted[0].sum(axis=0)
     best = int(observed.argmax())
@@ -91,7 +91,7 @@ def find_common_order(runs: Floats) -> Order | None:
 
 
 def signs_looked_at(m: int) -> int:
-    """How many signs there are of so many units: the p-value of the strongest is at most so often that of one."""
+    """How many signs so many units have: the p-value of the strongest is at most so many times that of a single one."""
     return 2 + 2 * len(_numbers(m))
 
 
@@ -101,7 +101,7 @@ def _numbers(m: int) -> list[int]:
 
 
 def _sign(best: int, numbers: Sequence[int], p_value: float) -> Order:
-    """The sign in a column of `_weights`, of which there may be several rows."""
+    """The sign at index `best` of the columns of `_weights`, which repeat for each row of scores."""
     signs: list[tuple[Literal["first", "last", "rising", "falling"], int]] = [("rising", 0), ("falling", 0)]
     signs += [(where, number) for where in ("first", "last") for number in numbers]
     where, count = signs[best % len(signs)]

@@ -16,15 +16,15 @@ from rtrun.kinds.values import Int64s
 
 _SEED = 20140715
 _POINTS = 128
-# Below it the information of the scale is infinite; above it the mean of the excesses is.
+# Below the first shape the information of the scale is infinite; above the second, the mean of the excesses is.
 _SHAPES = (-0.45, 1.0)
 
 
 def p_value(excesses_ns: Int64s, quantum_ns: int, parameters: Parameters) -> float:
     """P-value of the Anderson-Darling test of a GPD whose (shape, scale) were fitted to these excesses, shape (k,).
 
-    A value measured in steps says no more than its step: it is put at random between the distribution function at both
-    ends of it (fixed seed), so that the statistic has the distribution of continuous values.
+    A value measured in steps tells only its step. It is put at random between the values of the distribution function
+    at both ends of the step (fixed seed), so that the statistic has the distribution of continuous values.
     """
     ends = excesses_ns.astype(np.float64) + np.array([[0], [quantum_ns]])
     with np.errstate(divide="ignore"):  # beyond the end of the distribution

@@ -25,7 +25,7 @@ _EXTRAPOLATION = 100
 
 @dataclass(frozen=True, kw_only=True)
 class Tail:
-    """What one run says about its worst case: its highest values where they lie, and maxima of equal blocks.
+    """What one run says about its worst case: its highest values with their places, and maxima of equal blocks.
 
     ``values_ns`` (k,) with ascending ``positions`` (k,) are all values at or above ``floor_ns``, about the highest
     1 % and at most 20 000; ``maxima_ns`` (b,) of consecutive blocks of ``block`` loops.
@@ -79,11 +79,11 @@ def tail_of(values_ns: Int64s) -> Tail:
     floor = int(np.partition(values_ns, n - kept)[n - kept]) if n else 0
     positions = np.flatnonzero(values_ns >= floor)
     if positions.size > 2 * kept:
-        # Many equal values at the floor carry nothing: only what lies above it.
+        # Many equal values at the floor tell nothing: only those above it are kept.
         floor += 1
         positions = np.flatnonzero(values_ns >= floor)
     block = max(1, n // _BLOCKS)
-    # The last block takes what is left over: no value is left out.
+    # The last block also takes the rest: no value is left out.
     maxima = np.maximum.reduceat(values_ns, np.arange(n // block) * block) if n else values_ns
     return Tail(
         n=n,
@@ -187,7 +187,7 @@ def refuse(
     threshold_ns: int | None = None,
     block: int | None = None,
 ) -> Bound:
-    """A bound that is none, and why."""
+    """A refused bound, and why."""
     return Bound(
         method=method,
         refused=why,
@@ -218,7 +218,7 @@ def too_far(n: int, probability: float) -> str | None:
 
 
 def above_bound(seen_ns: int, bound_ns: float) -> str:
-    """Why a bound is none: a higher value was measured."""
+    """Why a bound does not hold: a higher value was measured."""
     return f"a value of {time(seen_ns)} was seen above the fitted bound of {time(bound_ns)}"
 
 
@@ -240,7 +240,7 @@ def _coarser(run: Tail, block: int) -> Int64s:
 
 
 def resolution(peaks: Int64s, quantum_ns: int) -> Assumption:
-    """Whether there are different values enough to fit anything."""
+    """Whether there are enough different values to fit anything."""
     distinct = int(np.unique(peaks // quantum_ns).size)
     return Assumption(
         name="quantisation",

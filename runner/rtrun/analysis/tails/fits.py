@@ -22,7 +22,7 @@ Parameters = tuple[float, ...]
 _SHAPES = (-1.0, 1.0)
 _NEAR_LIMIT = 0.1
 _GROUPS = 400
-# The cost of parameters that cannot be. It is finite, because the simplex search subtracts costs.
+# The cost of impossible parameters. It is finite, because the simplex search subtracts costs.
 _EXCLUDED = 1e200
 
 
@@ -77,7 +77,7 @@ def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
     shape, scale, *location = family.start(sample.edges + sample.step / 2, sample.counts)
 
     def parameters(free: Sequence[float]) -> Parameters:
-        # The location moves in units of the first scale, so that one tolerance does for all parameters.
+        # The location moves in units of the first scale, so that one tolerance fits all parameters.
         moved = [first + scale * by for first, by in zip(location, free[2:], strict=True)]
         return (free[0], math.exp(min(free[1], 60.0)), *moved)
 
@@ -91,8 +91,8 @@ def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
             found, lowest = lowest_point(cost, begin, step=0.1, tolerance=1e-6)
             if lowest < least - 1e-9:
                 best, least = found, lowest
-            # At the limit of the shapes a search may stop too early. Elsewhere each begin leads to the same minimum, as
-            # simulations showed.
+            # At the limit of the shapes a search may stop too early. Elsewhere every start leads to the same minimum,
+            # as simulations showed.
             if _SHAPES[0] + _NEAR_LIMIT < best[0] < _SHAPES[1] - _NEAR_LIMIT:
                 break
     return parameters(best), least
@@ -101,7 +101,7 @@ def fit(family: Family, sample: Sample) -> tuple[Parameters, float]:
 def negative_log_likelihood(family: Family, sample: Sample, parameters: Parameters) -> float:
     """Minus the log likelihood; `_EXCLUDED` where the parameters exclude a measured value.
 
-    The caller has numpy ignore what is no number: searches ask thousands of times.
+    The caller makes numpy ignore invalid values: searches call this thousands of times.
     """
     if not _SHAPES[0] <= parameters[0] <= _SHAPES[1] or parameters[1] <= 0:
         return _EXCLUDED
@@ -158,7 +158,7 @@ def profile_end(
             begin = min(begins(level, near), key=cost)
             found, lowest = lowest_point(cost, begin, step=0.02, tolerance=1e-5)
             drop = lowest - least
-            # Far beyond the end only the sign is of use: measured values may be impossible there.
+            # Far beyond the end only the sign is useful: measured values may be impossible there.
             seen[level] = min(math.sqrt(max(drop, 0.0)), 3 * limit) - limit
             if seen[level] <= 0:
                 near = family.with_level(level, chance, found)
@@ -174,7 +174,7 @@ def profile_end(
         value = beyond(outer)
         if value > 0:
             return crossing(beyond, inner, outer, tolerance=abs(outer - inner) / 1024)
-        # The next step goes a little beyond the place where a straight line would have the end.
+        # The next step goes a little beyond the end that a straight line predicts.
         distance = abs(outer - point)
         width = distance * min(4.0, max(0.1, 1.1 * limit / max(value + limit, 1e-9) - 1))
         inner = outer

@@ -36,7 +36,7 @@ _LEAST_INDEX = 0.05
 class _Peaks:
     """The highest values of bursts above a threshold, ``values_ns`` (k,) at ``positions`` (k,).
 
-    They are of ``above`` values above the threshold, ``theta`` is their extremal index.
+    They come from ``above`` values above the threshold; ``theta`` is their extremal index.
     """
 
     threshold_ns: int
@@ -61,7 +61,7 @@ class _Fit:
 def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
     """Fit a generalised Pareto distribution to declustered excesses (Pickands 1975; Coles 2001, chapters 4 and 5).
 
-    Of the thresholds, from low to high, the first is taken whose fit is not rejected (Bader, Yan & Zhang 2018).
+    From low to high, the first threshold is taken whose fit is not rejected (Bader, Yan & Zhang 2018).
     """
 
     def refused(why: str, checks: Sequence[Assumption] = (), peaks: _Peaks | None = None) -> Bound:
@@ -77,7 +77,7 @@ def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: f
     all_peaks = [peaks for peaks in all_peaks if peaks.values_ns.size >= LEAST_PEAKS]
     if not all_peaks:
         return refused(f"bursts leave fewer than {LEAST_PEAKS} independent high values")
-    # A trend and bursts are seen best in many peaks: they are looked for at the lowest threshold, whatever is fitted.
+    # Trends and bursts show best in many peaks, so these checks use the lowest threshold, whatever is fitted.
     checks = _checks(all_peaks[0], n, quantum_ns)
     if failed := next((check for check in checks if not check.passed), None):
         return refused(f"{failed.name}: {failed.seen}", checks, all_peaks[0])

@@ -39,8 +39,8 @@ def exponential_tail(runs: Sequence[Tail], probability: float, confidence: float
 
     The residual coefficient of variation (standard deviation over mean of the excesses) is 1 for an exponential tail
     and smaller for a lighter one (del Castillo & Daoudi 2009; MBPTA-CV, Abella et al. 2017). The lowest threshold is
-    taken at which it is not above 1 + 1.64 / sqrt(k) (5 %; its standard error is 1 / sqrt(k)). The mean excess has
-    its interval from the gamma distribution, the level from it.
+    taken at which it is not above 1 + 1.64 / sqrt(k) (5 %; its standard error is 1 / sqrt(k)). The interval of the mean
+    excess comes from the gamma distribution, and that of the level from it.
     """
     n, values, positions = high_values(runs)
     if values.size < _LEAST_PEAKS:
@@ -96,7 +96,7 @@ def exponential_tail(runs: Sequence[Tail], probability: float, confidence: float
 def disagreement(bounds: Sequence[Bound]) -> str | None:
     """Say that GPD and GEV disagree: their intervals have no value in common. None where they agree or one is refused.
 
-    The exponential tail is left out: for a tail that is lighter it lies above the two others, as it should.
+    The exponential tail is left out: for a lighter tail it lies above the two others, as it should.
     """
     made = [(one.low_ns, one.high_ns) for one in bounds if one.method in ("GPD", "GEV")]
     if len(made) < 2:

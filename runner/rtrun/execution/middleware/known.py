@@ -1,4 +1,4 @@
-"""The services of middlewares on a target. The programs of a middleware without one wait for one another themselves."""
+"""The services of middlewares on a target. If a middleware has none, its programs wait for one another themselves."""
 
 from rtrun.execution.middleware import roscpp
 from rtrun.execution.middleware.service import Service

@@ -1,6 +1,6 @@
 """roscpp: its programs need a ROS master, which also knows who has subscribed.
 
-A master is started where none answers, at a priority that cannot lock up the board, and ended after use.
+If no master answers, one is started, at a priority that cannot lock up the board, and ended after use.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ NAME = "rosmaster"
 START_S = 60.0
 ANSWER_S = 10.0
 REPLY_BYTES_MAX = 4 * 1024 * 1024
-# A master whose runner was killed ends by itself after a week.
+# A master whose runner was killed ends on its own after a week.
 LIFE_S = 7 * 24 * 3600.0
 CALLER = "/rtrun"
 TOPIC = "/communication_tests"
@@ -67,7 +67,7 @@ def _post(channel: Any, request: bytes) -> bytes:
 
 def _parse_reply(reply: bytes) -> tuple[int, str, Any]:
     """Return code, message and value of a reply of the ROS master. Raises ValueError."""
-    # No master defines entities, which would let a short reply stand for a very long one.
+    # No master defines entities, which could expand a short reply to a very long one.
     if b"<!" in reply or b"\0" in reply:
         raise ValueError("not an XML-RPC reply")
     try:
@@ -115,7 +115,7 @@ def running(
 ) -> Iterator[bool]:
     """Make sure that a ROS master answers, and yield whether it is ours; ours is ended when the context is left.
 
-    It stays where a run may go on: without a master that would hang in ros::shutdown.
+    Our master stays if a run may go on: without it the run would hang in ros::shutdown.
 
     With `priority` it runs under FIFO at that priority, which must lie above that of every real-time node: on one CPU
     a node spins in ros::shutdown until the master answers, and a master below it never would (thesis 4.4).

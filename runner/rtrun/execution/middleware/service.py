@@ -1,4 +1,4 @@
-"""What the programs of a middleware need to run on a target beside them, and what is asked of it."""
+"""The service that the programs of a middleware need on a target, and what the runner asks it."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -11,9 +11,9 @@ from rtrun.targets.link import Link
 
 
 class Running(Protocol):
-    """Sees to it that a service runs while the context lasts, or a run goes on; it yields whether it is ours.
+    """Keeps a service running while the context lasts or a run goes on; yields whether the service is ours.
 
-    `owner` tells ours from that of another campaign. With `priority` it runs under FIFO at that priority.
+    `owner` tells it from the service of another campaign. With `priority` it runs under FIFO at that priority.
     """
 
     def __call__(
@@ -32,9 +32,9 @@ class Service:
     """What must run on a target for the programs of a middleware."""
 
     name: str
-    """What a message to the user calls it."""
+    """Its name in messages to the user."""
     running: Running
     identity: Callable[[Link], str | None]
-    """Tells one that runs from another that was started later; None: it does not run."""
+    """Tells the running service from one that was started later; None: it does not run."""
     count_subscribers: Callable[[Link, str], int]
-    """How many subscribers of an attempt, told by its token, are connected."""
+    """How many subscribers of an attempt are connected. The token identifies the attempt."""

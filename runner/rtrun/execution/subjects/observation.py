@@ -17,7 +17,7 @@ from rtrun.results.run_state import RunEvent, RunLife
 from rtrun.targets import processes
 from rtrun.targets.errors import TargetError
 
-# What is observed is started, waited for and probed before its time begins; a lost link takes time as well.
+# Starting, waiting and placing probes come before the time of the observation; a lost link takes time as well.
 OBSERVED_EXTRA_S = 1800.0
 
 
@@ -33,7 +33,7 @@ def plan(prepared: Prepared, run: Run, remote: PurePosixPath, token: str) -> Sub
 
 
 def start(work: ActiveRun, life: RunLife, start_background: Callable[[], None]) -> str | None:
-    """Start the user's system, then the background: how it comes up under a load is no part of the run."""
+    """Start the user's system, then the background: its start under a load is not part of the run."""
     not_started = _start_system(work)
     if not_started is None:
         start_background()
@@ -41,12 +41,12 @@ def start(work: ActiveRun, life: RunLife, start_background: Callable[[], None]) 
 
 
 def _start_system(work: ActiveRun) -> str | None:
-    """Start the user's system where the run names one, and wait until it is ready; return why it is not."""
+    """Start the user's system if the run names one, and wait until it is ready; return why it is not."""
     link, scripts, asked = work.link, work.prepared.scripts, _plan_of(work.run)
     starts_system = work.programs.system is not None
     if work.programs.system is not None:
         processes.start(link, scripts, work.remote, work.programs.system, setup=work.setup)
-    # After a restart of the target it may still come up; who sits before it knows.
+    # After a restart of the target the system may still be starting. An attending user knows that.
     is_at_once = work.onlooker.is_attended and not starts_system
     not_ready = system.wait_ready(link, scripts, work.remote, asked, deadline_s=0.0 if is_at_once else system.READY_S)
     if not_ready and is_at_once:
@@ -55,7 +55,7 @@ def _start_system(work: ActiveRun) -> str | None:
 
 
 def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) -> MeasuringEnd:
-    """Observe what the run is about, then end the user's system where the run has started it."""
+    """Observe the programs of the run, then end the user's system if the run has started it."""
     link, scripts, asked = work.link, work.prepared.scripts, _plan_of(work.run)
     life.move(RunEvent.OBSERVE)
     aftermath, failure = Aftermath(is_attended=work.onlooker.is_attended), None
@@ -82,7 +82,7 @@ def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) ->
 
 
 def close(closing: Closing, record: RunRecord) -> RunRecord:
-    """Write a run for each stream beside it, where something was observed."""
+    """Write a run for each stream next to it, if something was observed."""
     work, observed = closing.work, closing.observed
     if observed is None:
         return record

@@ -1,4 +1,4 @@
-"""What each subject of a run answers: its programs, how they start, how they are waited for, what is kept of them."""
+"""What each subject of a run defines: its programs, how they start, how the runner waits for them, what is kept."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
@@ -23,18 +23,18 @@ from rtrun.targets.link import TargetRebooted
 
 @dataclass(slots=True, kw_only=True)
 class Aftermath:
-    """What comes after something was observed, which is kept first, whatever comes."""
+    """Errors after something was observed. The observation is kept first, whatever happens."""
 
     observed: ObservationResult | None = None
-    """None: nothing is observed, and whatever comes is raised at once."""
+    """None: nothing is observed, and every error is raised at once."""
     is_attended: bool = False
     troubles: list[str] = field(default_factory=list)
-    """With the target."""
+    """Problems with the target."""
     cut_off: BaseException | None = None
-    """What ends more than this run: raised once it is kept."""
+    """An error that ends more than this run; raised once the run is kept."""
 
     def deferring(self) -> AbstractContextManager[None]:
-        """Where something was observed, let the first Ctrl-C wait for the end of the context."""
+        """If something was observed, let the first Ctrl-C wait for the end of the context."""
         return deferred(KEPT_FIRST) if self.observed else contextlib.nullcontext()
 
     @contextlib.contextmanager
@@ -51,7 +51,7 @@ class Aftermath:
             if self.observed is None:
                 raise
             self.troubles.append(str(error))
-            # Who sits before it has seen that, and waits for nothing more.
+            # An attending user has seen the restart, and waits for nothing more.
             if isinstance(error, TargetRebooted) and not self.is_attended:
                 self.cut_off = self.cut_off or error
         except Exception as error:
@@ -63,7 +63,7 @@ class Aftermath:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuringEnd:
-    """What came of the measuring: how the programs ended, why they were ended early, if so, the service then."""
+    """How the measuring ended: the exits of the programs, why it failed if it did, and the service at that time."""
 
     exits: Sequence[Exit] = ()
     failure: str | None = None
@@ -73,9 +73,10 @@ class MeasuringEnd:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Closing:
-    """A run that is closed: `partial` is filled for `place`. `before` is the state of the target before it.
+    """A run that is being closed: `partial` is filled and then becomes `place`.
 
-    `troubles` with the target are those that came after something was observed.
+    `before` is the state of the target before the run. `troubles` are problems with the target after something was
+    observed.
     """
 
     work: ActiveRun
@@ -87,16 +88,16 @@ class Closing:
 
 
 class SubjectModule(Protocol):
-    """A module of this room."""
+    """What each module of a subject provides."""
 
     def plan(self, prepared: Prepared, run: Run, remote: PurePosixPath, token: str) -> SubjectPrograms:
-        """Its programs in the folder `remote` on the target; `token` is unique to one attempt."""
+        """The programs of the subject in the folder `remote` on the target; `token` is unique to one attempt."""
 
     def start(self, work: ActiveRun, life: RunLife, start_background: Callable[[], None]) -> str | None:
-        """Start them, and what the condition asks for; return why what measures was not started, if so."""
+        """Start the programs and what the condition asks for; return why measuring did not start, if so."""
 
     def wait(self, work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) -> MeasuringEnd:
-        """Wait until it is measured."""
+        """Wait until the run is measured."""
 
     def close(self, closing: Closing, record: RunRecord) -> RunRecord:
-        """Keep what the run has measured; return the record that it is to be closed with."""
+        """Keep what the run has measured; return its closing record."""

@@ -16,9 +16,9 @@ from rtrun.results.record import RunRecord
 from rtrun.results.run_state import RunEvent, RunLife
 from rtrun.targets import processes
 
-# How many subscribers a publisher waits for, where nobody else knows.
+# How many subscribers a publisher waits for, if no service counts them.
 AWAITED = "awaited_subscribers"
-# A suite that needs longer than this for the time it should take hangs.
+# A suite that takes longer than this multiple of its expected time, plus this much, hangs.
 DEADLINE_FACTOR = 5
 DEADLINE_EXTRA_S = 120.0
 SUBSCRIBED_S = 60.0
@@ -27,7 +27,7 @@ END_GRACE_S = 60.0
 
 
 def deadline_of(run: Run) -> float:
-    """After so many seconds its programs hang."""
+    """The time after which programs of a run count as hanging, in seconds."""
     return DEADLINE_FACTOR * run.expected_s + DEADLINE_EXTRA_S
 
 
@@ -73,7 +73,7 @@ def start(work: ActiveRun, life: RunLife, start_background: Callable[[], None]) 
 def _start_stages(work: ActiveRun, life: RunLife) -> str | None:
     """Start the sampler, then the suite's programs stage by stage, each when those before it are ready.
 
-    Return why the rest was not started: a program that it needs has ended.
+    Return why the rest was not started: a program that the rest needs has ended.
     """
     link, remote = work.link, work.remote
     first, *later = work.programs.stages
@@ -88,7 +88,7 @@ def _start_stages(work: ActiveRun, life: RunLife) -> str | None:
         names = [program.name for program in work.programs.awaited]
         _wait_ready(work, names)
         if ended := processes.list_ended(link, remote, names):
-            # The run has failed. What publishes would not notice, and take as long as if all were there.
+            # The run has failed. The publisher would not notice, and would take as long as if all were there.
             processes.end(link, remote, *names)
             return f"{ended[0]} ended before {stage[0].name} was started: {_last_word(work, ended[0])}"
         start(*stage, stage=stage)
@@ -98,7 +98,7 @@ def _start_stages(work: ActiveRun, life: RunLife) -> str | None:
 def _wait_ready(work: ActiveRun, names: Sequence[str]) -> None:
     """Wait until these programs of the suite are ready, or one of them has ended.
 
-    Without a service nobody but the programs themselves knows: they wait for one another.
+    Without a service only the programs themselves know: they wait for one another.
     """
     service, link = work.service, work.link
     if service is not None:
@@ -128,13 +128,13 @@ def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) ->
         deadline_s = program.deadline_s + END_GRACE_S
         ended = processes.wait(link, work.remote, program.name, deadline_s=deadline_s, needed=needed)
         if isinstance(ended, processes.NeededFailed):
-            # As when it fails before: what publishes would go on for as long as if it were there.
+            # As before the start of a stage: the publisher would go on as if the program were there.
             failure = f"{ended.name} ended while {program.name} was running: {_last_word(work, ended.name)}"
             processes.end(link, work.remote, *work.programs.suite_names)
             ended = processes.wait(link, work.remote, program.name, deadline_s=deadline_s)
         exits.append(ended)
         if failure is None and program.name not in awaited and exits[-1].status != 0:
-            # What it sends to may never have seen it, and would wait until its own deadline.
+            # Its receivers may never have seen it, and would wait until their own deadline.
             processes.end(link, work.remote, *awaited)
     service = work.service_identity()
     life.move(RunEvent.END)
@@ -142,5 +142,5 @@ def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) ->
 
 
 def close(closing: Closing, record: RunRecord) -> RunRecord:
-    """All that it has measured is in its files already."""
+    """Return the record as it is: all measured values are in the files already."""
     return record

@@ -21,13 +21,13 @@ def _plan_of(run: Run) -> TopologyPlan:
 
 
 def plan(prepared: Prepared, run: Run, remote: PurePosixPath, token: str) -> SubjectPrograms:
-    """A program for each process of the graph, with the text of what it is to host."""
+    """A program for each process of the graph, with the text that tells it what to host."""
     environment = (*environment_of(prepared, run.middleware), *suites.environment(run.parameters))
     return topology_runs.topology_programs(prepared, run, _plan_of(run), remote, environment, deadline_of(run))
 
 
 def close(closing: Closing, record: RunRecord) -> RunRecord:
-    """Write a run for each stream beside it; where its tables do not count, the run is invalid."""
+    """Write a run for each stream next to it; if its tables do not count, the run is invalid."""
     if record.status is not RunStatus.OK:
         return record
     of_nodes = _plan_of(closing.work.run)

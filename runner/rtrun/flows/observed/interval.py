@@ -57,7 +57,7 @@ class EndSource:
         end = self.record
         times = end.times.read(max(row - 1, 0))[:, 0]
         cuts = end.cuts.between(row, len(end.times))
-        # A step to row r, which is the first one behind a cut, is none.
+        # The step to the first row after a cut does not count.
         rows_of = np.arange(max(row, 1), len(end.times))
         is_step = ~np.isin(rows_of, cuts[cuts > 0])
         return Growth(len(end.times), np.diff(times)[is_step], times[1:][is_step], len(end.times))
@@ -76,7 +76,7 @@ class EndSource:
         counts = decided | {"waiting": len(end.times) - sum(decided.values())}
         if not end.unmatched:
             return counts, ()
-        # Of which publisher these are is not known, so they are no loss of a pair.
+        # Their publishers are not known, so they do not count as losses of a pair.
         remark = (
             f"{counted(end.unmatched, 'message')} came whose publication was not seen, of whatever publisher:"
             " published before, in a gap, by a program that is not observed, too long ago, or by ROS 1 with a"

@@ -1,4 +1,4 @@
-"""What a kind of stream has in the accumulator: each thing that was measured, whole, and what is new of it."""
+"""What a kind of stream has in the accumulator: each measured thing, as a whole, and what is new about it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from rtrun.kinds.kind import StreamKind
 from rtrun.kinds.values import Int64s
 from rtrun.results.columns import PIECE_ROWS, collected
 
-# That a program has ended may be told a round late.
+# The end of a program may be reported a round late.
 STALL_NS = 3 * 10**9
 Identity = dict[str, str | int]
 
@@ -24,7 +24,7 @@ Identity = dict[str, str | int]
 class Growth:
     """A stream as it is now: how many rows it has, its new values, int64 (n,), and when each was there.
 
-    Of the rows, `settled` many have values that will not change; `lost` may still fall, as a message comes late.
+    The values of the first `settled` rows will not change. `lost` may still fall when a message comes late.
     """
 
     rows: int
@@ -35,15 +35,15 @@ class Growth:
 
 
 class StreamSource(Protocol):
-    """One thing that is measured. `name` and `of` are how it is shown while it grows."""
+    """One measured thing. `name` and `of` are shown while it grows."""
 
     @property
     def record(self) -> object:
-        """What the accumulator has of it, by which it is known while it grows."""
+        """The accumulator's record, which identifies it while it grows."""
 
     @property
     def identity(self) -> Identity:
-        """What tells it from the others of its kind; it outlasts a restart."""
+        """What tells it from others of its kind; this outlasts a restart."""
 
     @property
     def name(self) -> str: ...
@@ -52,14 +52,14 @@ class StreamSource(Protocol):
     def of(self) -> str: ...
 
     def stream(self) -> Stream:
-        """All of it, with what had not come at the end."""
+        """The whole stream, with what had not come at the end."""
 
     def since(self, row: int) -> Growth:
         """What is new from a row on."""
 
 
 class ObservedKind(Protocol):
-    """A module of this room: a kind of stream, and its sources in the order in which they were first seen."""
+    """A module of this folder: a kind of stream, and its sources in the order in which they were first seen."""
 
     STREAM: StreamKind
 
@@ -67,18 +67,18 @@ class ObservedKind(Protocol):
 
 
 def stalled_ns(since_ns: int, longest_ns: int, observed: FlowAccumulator) -> int:
-    """For how long something has not come at the end, if that is longer than ever before; else 0."""
+    """How long something had not come at the end, if longer than ever before; otherwise 0."""
     passed_ns = observed.until_ns - since_ns
     return passed_ns if passed_ns > max(STALL_NS, longest_ns) else 0
 
 
 def is_seen(record: End | TimerLog, observed: FlowAccumulator) -> bool:
-    """Whether it lives, and no hits are missing since its last one."""
+    """Whether the thing lives, and no hits are missing since its last hit."""
     return record.latest is not None and record.latest[1].is_alive and record.latest[0] == observed.state.epoch
 
 
 def silent_ns(times: Rows, record: End | TimerLog, observed: FlowAccumulator) -> int:
-    """Since the last message or call."""
+    """How long ago the last message or call was, if longer than ever before; otherwise 0."""
     if not is_seen(record, observed):
         return 0
     longest_ns = max((int(some.max(initial=0)) for some in steps(times, record.cuts)), default=0)
@@ -86,7 +86,7 @@ def silent_ns(times: Rows, record: End | TimerLog, observed: FlowAccumulator) ->
 
 
 def cuts_of(cuts: Rows, store: RowStore) -> Int64s:
-    """The rows before which hits are missing; before the first row it says nothing."""
+    """The rows before which hits are missing; a cut before the first row is left out."""
     (made,) = collected(store.folder, ((piece[piece > 0],) for piece in cuts.pieces()), 1)
     return made
 

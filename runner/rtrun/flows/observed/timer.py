@@ -1,4 +1,4 @@
-"""Calls of a timer, and how late they were where its clock and its period are known."""
+"""Calls of a timer, and how late they were, if its clock and its period are known."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from rtrun.kinds.values import no_values
 from rtrun.probes.hits import HITS_CLOCK
 from rtrun.results.columns import collected
 
-# Calls of a timer whose lateness is not known before its clock is read.
+# At most this many calls wait: their lateness is not known before the timer's clock is read.
 _WAITING_MAX = 200_000
 
 
@@ -80,7 +80,7 @@ class TimerSource:
         settled = rows
         known = expected != NOT_SEEN_NS
         if log.clock != HITS_CLOCK:
-            # How the clock stood is known up to the time at which it was last read.
+            # The offset of the clock is known up to its last reading.
             last_ns = offsets.last_ns(log.clock)
             size = 0 if last_ns is None else int(np.searchsorted(at, last_ns, side="right"))
             at, expected, known, settled = at[:size], expected[:size], known[:size], begin + size

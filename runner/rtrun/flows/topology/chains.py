@@ -1,6 +1,6 @@
-"""Paths through a topology: which activation of the source an activation of the sink goes back to.
+"""Paths through a topology: to which activation of the source an activation of the sink goes back.
 
-An activation at the end of a path took a message, which an activation of the node before published, and so on. Reaction
+An activation at the end of a path took a message that an activation of the node before published, and so on. Reaction
 and age are those of Feiertag, Richter, Nordlander and Jonsson, "A compositional framework for end-to-end path delay
 calculation of automotive systems under different path semantics", CRTS 2008: first to first and last to last, from
 the release of the source to the end of the sink.
@@ -18,7 +18,7 @@ from rtrun.plan.topology.topology import NodePath
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Spans:
-    """From when to when, int64 (n,) each; `activation`, int64 (n,), are those of the sink at their ends."""
+    """From when to when, int64 (n,) each; `activation`, int64 (n,), is that of the sink at each end."""
 
     begin_ns: Int64s
     end_ns: Int64s
@@ -26,7 +26,7 @@ class Spans:
 
 
 def origins(tables: TopologyTables, path: NodePath) -> tuple[Int64s, ...]:
-    """Of each activation of the sink the activations of the nodes of a path that it goes back to, from source to sink.
+    """For each node of a path, from source to sink: its activations to which those of the sink go back.
 
     Each is int64 of shape (activations of the sink,); NONE where a node had taken nothing of the path.
     """
@@ -34,15 +34,14 @@ def origins(tables: TopologyTables, path: NodePath) -> tuple[Int64s, ...]:
     found = [rows]
     for topic, name in zip(reversed(path.topics), reversed(path.nodes[1:]), strict=True):
         taken = tables.nodes[name].taken[tables.topology.node[name].inputs.index(topic)]
-        # A row NONE takes the last one, which is put right below.
+        # Index NONE reads the last element, but `where` keeps NONE in such rows.
         rows = np.where(rows == NONE, NONE, taken[rows]) if taken.size else np.full(rows.size, NONE)
         found.append(rows)
     return tuple(reversed(found))
 
 
 def ages(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
-    """How old the data are at the end of each activation of the sink; `of` are those of the source, as `origins` has
-    them."""
+    """How old the data are at the end of each activation of the sink; `of` are their origins at the source."""
     source, sink = tables.nodes[path.nodes[0]], tables.nodes[path.sink]
     rows = np.flatnonzero(of != NONE)
     rows = rows[(rows >= sink.first) & (of[rows] >= source.first)]
@@ -50,9 +49,9 @@ def ages(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
 
 
 def reactions(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
-    """From each activation of the source to the first one of the sink whose data are of it, or of a later one.
+    """From each activation of the source to the first activation of the sink with its data, or with later data.
 
-    Those of the source to which the sink had not yet reacted when the run ended are left out: see `unanswered`.
+    Activations to which the sink had not reacted when the run ended are left out: see `unanswered`.
     """
     source, sink = tables.nodes[path.nodes[0]], tables.nodes[path.sink]
     # The latest data at the sink: older data may overtake newer ones through a queue.
@@ -65,21 +64,24 @@ def reactions(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
 
 
 def unanswered(tables: TopologyTables, path: NodePath, answered: Spans) -> int:
-    """How many activations of the source the sink never reacted to, though the run went on for long enough.
+    """To how many activations of the source the sink never reacted, though the run went on for long enough.
 
-    That is twice the longest reaction that was measured; to what came later no reaction could be seen. `answered` are
-    the reactions, of which there is one at least.
+    Long enough is twice the longest measured reaction; for later activations no reaction could be seen. `answered` are
+    the reactions, at least one.
     """
     source = tables.nodes[path.nodes[0]]
     enough_ns = 2 * int((answered.end_ns - answered.begin_ns).max())
-    # What answers an activation answers those before it: the last ones are without.
+    # A reaction to an activation also answers those before it, so only the last ones are unanswered.
     without = source.release_ns[source.first + answered.begin_ns.size :]
     return int(np.count_nonzero(without < tables.until_ns - enough_ns))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Stage:
-    """A node's part in what came along a path: its activation, and the message that it sent on; None: the last one."""
+    """A node's part in a chain along a path: its activation, and the times of the message that it sent on.
+
+    The last node sent none: its times are None.
+    """
 
     node: NodeTable
     row: int
@@ -88,7 +90,7 @@ class Stage:
 
 
 def stages(tables: TopologyTables, path: NodePath, of: tuple[Int64s, ...], activation: int) -> tuple[Stage, ...]:
-    """What an activation of the sink goes back to, node by node; `of` are the origins of all of its activations."""
+    """The chain to which an activation of the sink goes back, node by node; `of` are the origins of all activations."""
     hops: Mapping[tuple[str, str], HopTable] = {(hop.topic, hop.subscriber): hop for hop in tables.hops}
     made = []
     for place, name in enumerate(path.nodes):

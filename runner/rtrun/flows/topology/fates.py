@@ -1,4 +1,4 @@
-"""What became of the messages of each hop: all that were sent are counted, once each."""
+"""What became of the messages of each hop: every message that was sent is counted once."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from rtrun.flows.topology.tables import NONE, HopTable, TopologyTables
 from rtrun.kinds.values import Int64s
 
 ON_THE_WAY = "dropped on the way"
-"""By the middleware or its transport, in a queue that was full or elsewhere: no program saw it."""
+"""The middleware or its transport dropped it, in a full queue or elsewhere: no program saw it."""
 TOO_LATE = "sent after the node had ended"
 
 
@@ -16,8 +16,8 @@ TOO_LATE = "sent after the node had ended"
 class HopFates:
     """The messages of a hop that were sent while it was measured.
 
-    sent = taken + overwritten + unused + on_the_way + too_late. `rows`, int64, are those of the hop's table where such
-    a message came for the first time. `duplicates` came again; `out_of_order` came after a later one.
+    sent = taken + overwritten + unused + on_the_way + too_late. `rows`, int64, are the rows of the hop's table in which
+    a message came for the first time. `duplicates` came again; `out_of_order` came after a later message.
     """
 
     sent: int
@@ -32,7 +32,7 @@ class HopFates:
 
     @property
     def lost(self) -> dict[str, int]:
-        """Those that never came, by cause."""
+        """The messages that never came, by cause."""
         causes = {ON_THE_WAY: self.on_the_way, TOO_LATE: self.too_late}
         return {cause: count for cause, count in causes.items() if count}
 

@@ -1,7 +1,7 @@
 """Where the time of late reactions went: each cut into what the nodes and messages of its path took.
 
-The parts add up to the reaction. Late are those above the deadline; where none is, or there is none, the highest
-hundredth, which is held against the others in the same way.
+The parts add up to the reaction. Late reactions are those above the deadline. Without a deadline, or if no reaction is
+above it, the highest hundredth is compared with the others in the same way.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,22 +20,22 @@ HIGHEST = 0.01
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PathPart:
-    """What a part of a path's reactions took on the average, of late ones and of the others, in ns."""
+    """What a part of a path's reactions took on average, in late reactions and in the others, in ns."""
 
     what: str
     late_ns: float
     otherwise_ns: float
-    """0 where all are late."""
+    """0 if all are late."""
 
     @property
     def extra_ns(self) -> float:
-        """By how much it made them late."""
+        """By how much this part made reactions late."""
         return self.late_ns - self.otherwise_ns
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LatePath:
-    """The late reactions of a path: how many of how many, the limit, and their parts, what made them latest first."""
+    """The late reactions of a path: how many of how many, the limit, and their parts, the largest extra time first."""
 
     path: NodePath
     late: int
@@ -45,16 +45,16 @@ class LatePath:
 
     @property
     def extra_ns(self) -> float:
-        """By how much late ones took longer than the others, on the average."""
+        """By how much late reactions took longer than the others, on average."""
         return sum(part.extra_ns for part in self.parts)
 
     def share(self, part: PathPart) -> float:
-        """Of all that took longer in late ones what a part did."""
+        """The share of a part in all the extra time of late reactions."""
         return part.extra_ns / sum(max(each.extra_ns, 0.0) for each in self.parts)
 
 
 def late_path(tables: TopologyTables, path: NodePath, deadline_ns: int | None) -> LatePath | None:
-    """Where the time of the late reactions of a path went; None where there were no reactions."""
+    """Where the time of the late reactions of a path went; None if there were no reactions."""
     of = origins(tables, path)
     spans = reactions(tables, path, of[0])
     lengths = spans.end_ns - spans.begin_ns
@@ -114,14 +114,14 @@ def _parts(tables: TopologyTables, path: NodePath, of: Sequence[Int64s], spans: 
         ready = hop.reception_ns[came]
         taker = tables.nodes[path.nodes[place + 1]]
         on_its_way = f"{topic} is on its way to {taker.name}"
-        # Its thread receives when it runs no node.
+        # The taker's thread receives while it runs no node.
         yield from _wait_for_thread(tables, taker, hop.publication_ns[came], ready, on_its_way)
 
 
 def _wait_for_thread(
     tables: TopologyTables, node: NodeTable, due: Int64s, begin: Int64s, otherwise: str
 ) -> Iterator[tuple[str, Int64s]]:
-    """How much of each time a node waited for its thread: for each node that this ran, and `otherwise`."""
+    """How long a node waited for its thread each time: by each node that the thread ran meanwhile, and `otherwise`."""
     executor, left = tables.topology.node[node.name].executor, begin - due
     for other in tables.topology.nodes:
         if other.executor != executor or other.name == node.name:
@@ -136,7 +136,7 @@ def _wait_for_thread(
 
 
 def _overlap(begins: Int64s, ends: Int64s, from_ns: Int64s, until_ns: Int64s) -> Int64s:
-    """How much of each time from `from_ns` to `until_ns` spans cover that follow one another."""
+    """How much of each period from `from_ns` to `until_ns` is covered by spans that follow one another."""
     covered = np.concatenate(([0], np.cumsum(ends - begins)))
 
     def before(at_ns: Int64s) -> Int64s:
@@ -149,7 +149,7 @@ def _overlap(begins: Int64s, ends: Int64s, from_ns: Int64s, until_ns: Int64s) ->
 
 
 def _first_rows(hop: HopTable, seq: Int64s) -> Int64s:
-    """The row of a hop's table in which each of these messages came first."""
+    """The row of a hop's table in which each of these messages first came."""
     numbers, rows = np.unique(hop.seq, return_index=True)
     assert NONE not in seq
     return rows[np.searchsorted(numbers, seq)]

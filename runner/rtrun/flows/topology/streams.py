@@ -1,4 +1,4 @@
-"""The streams of a topology: what each node, hop and path has measured, as an observation has it of other programs."""
+"""The streams of a topology: what was measured of each node, hop and path, in the form that an observation has."""
 
 from collections.abc import Iterator, Mapping
 
@@ -23,7 +23,7 @@ from rtrun.plan.topology.topology import NodePath
 
 
 def topology_streams(tables: TopologyTables, plan: TopologyPlan) -> Iterator[Stream]:
-    """Paths first, then hops, periods and nodes; none of them has what came before it was measured."""
+    """Paths first, then hops, periods and nodes; all without the warm-up."""
     for path in plan.paths:
         of = origins(tables, path)
         answered = reactions(tables, path, of[0])
@@ -41,7 +41,7 @@ def topology_streams(tables: TopologyTables, plan: TopologyPlan) -> Iterator[Str
         if node.period_ns:
             yield _timer(table, name, node.period_ns)
         release, begin, end = (each[table.first :] for each in (table.release_ns, table.begin_ns, table.end_ns))
-        # A point of its period that it skipped was due, and never done.
+        # A skipped point of the node's period was due, and never done.
         yield _spans(RESPONSE, {"node": name}, release, end, lost=table.skipped)
         yield _spans(CALLBACK, {"node": name, "callback": node.name}, begin, end)
 

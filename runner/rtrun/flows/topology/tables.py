@@ -1,6 +1,6 @@
-"""The tables of a topology's processes, read: a row for each activation of a node, and for each message at an input.
+"""Reads the tables of a topology's processes: a row for each activation of a node, and for each message at an input.
 
-All of it comes from the target, and must be consistent: what a node took, somebody has sent.
+All of it comes from the target, and must be consistent: each message that a node took was sent.
 """
 
 from collections.abc import Iterator, Mapping
@@ -28,11 +28,11 @@ NONE = -1
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class NodeTable:
-    """The activations of a node in their order, each int64 of shape (n,), times of CLOCK_MONOTONIC.
+    """The activations of a node in order, each column int64 of shape (n,), times of CLOCK_MONOTONIC.
 
-    `taken` has for each input the number of the message that an activation took, which is that of the activation of its
-    publisher. From row `first` on it was measured; before, it was warmed up. `skipped` are points of its period that it
-    skipped while it was measured.
+    For each input, `taken` has the number of the message that an activation took: the number of the publisher's
+    activation. Rows before `first` are the warm-up. `skipped` counts the points of its period that the node skipped
+    while it was measured.
     """
 
     name: str
@@ -48,10 +48,10 @@ class NodeTable:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class HopTable:
-    """The messages of a topic that a node received, in the order of their reception, each int64 of shape (n,).
+    """The messages of a topic that a node received, in the order of reception, each column int64 of shape (n,).
 
-    `taken` is the activation that took a message first, `NONE` for one that none took. After `left_ns` the node
-    received nothing any more.
+    `taken` is the first activation that took a message, `NONE` if no activation did. After `left_ns` the node received
+    nothing any more.
     """
 
     topic: str
@@ -66,9 +66,9 @@ class HopTable:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TopologyTables:
-    """All tables of a run: of nodes by name, of hops in the order of their subscribers, of processes their own json.
+    """All tables of a run: nodes by name, hops in the order of their subscribers, and the json of each process.
 
-    From `until_ns` on no period was begun.
+    No period began at or after `until_ns`.
     """
 
     topology: Topology
@@ -79,7 +79,7 @@ class TopologyTables:
 
 
 def host_name(process: str) -> str:
-    """What the program of a process is called, and the files of the process, without their endings."""
+    """The name of a process's program and of its files, without their endings."""
     return f"process-{process}"
 
 
@@ -89,7 +89,7 @@ def table_names(node: TopologyNode) -> tuple[str, ...]:
 
 
 def read_tables(folder: Path, topology: Topology) -> TopologyTables:
-    """Read what the processes of a topology have left in a folder. Raises UsageError for what cannot be."""
+    """Read the tables that the processes of a topology left in a folder. Raises UsageError for impossible values."""
     hosts = {name: read_json(folder / f"{host_name(name)}.json", HostRecord) for name in topology.processes}
     times = {(host.start_ns, host.start_ns + host.measured_ns) for host in hosts.values()}
     if len(times) > 1:

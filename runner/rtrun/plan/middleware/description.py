@@ -1,6 +1,6 @@
-"""What is known of each middleware without a target: `<name>.yml` beside this module.
+"""What is known about each middleware without a target: `<name>.yml` next to this module.
 
-A suite says what is measured, a middleware through what. What is done on a target for one is in
+A suite determines what is measured, a middleware through what. The work on a target for a middleware is in
 `rtrun.execution.middleware`.
 """
 
@@ -14,9 +14,9 @@ from pydantic import Field
 from rtfiles.config import Config, load_own
 
 NONE = "none"
-"""Of a baseline: nothing stands between the kernel and what is measured."""
+"""The middleware of a baseline: nothing is between the kernel and what is measured."""
 DEFAULT = "roscpp"
-"""Of a suite, where nobody names one: that of 2014."""
+"""The middleware of a suite if none is named: that of 2014."""
 
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 
@@ -28,15 +28,15 @@ class Middleware(Config):
     kinds: Names = ()
     """The kinds of measurement that it has programs for."""
     executable: str = "{program}_{middleware}"
-    """What its form of a suite's program is called."""
+    """The name of its version of a suite's program."""
     environment: dict[str, str] = Field(default_factory=dict)
-    """Of its programs; `{ros_master_port}` is that of the target."""
+    """The environment of its programs; `{ros_master_port}` is the port on the target."""
     repeated: Names = ()
     """Further arguments of a program that runs once per subscriber, `{number}`; `{token}` is unique to an attempt."""
     threads: str = ""
-    """From what threads of its own take policy, priority and CPUs; empty: it has none."""
+    """Where its own threads get policy, priority and CPUs from; empty: it has no threads of its own."""
     stands_on: dict[str, Names] = Field(default_factory=dict)
-    """Of each kind of measurement the middlewares below it, to which it adds what it costs; none: the system alone."""
+    """By kind of measurement: the middlewares below it, to which it adds its own cost; none: the system alone."""
 
     def environment_with(self, **values: object) -> tuple[tuple[str, str], ...]:
         """The environment of its programs with these values filled in."""

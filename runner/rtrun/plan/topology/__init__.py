@@ -1,1 +1,1 @@
-"""A graph of nodes to be run and measured: what a topology file says, and what follows from it without a target."""
+"""A graph of nodes to run and measure: the contents of a topology file, and what follows from it without a target."""

@@ -1,4 +1,4 @@
-"""What one process of a topology is told: lines of words with one blank between them, which C++ reads without a parser.
+"""The text for one process of a topology: lines of words separated by one blank, which C++ reads without a parser.
 
 docs/topology.md has the form. Everything in it was checked when the topology file was read.
 """

@@ -1,6 +1,6 @@
-"""Independent nodes beside a topology: each a process of its own, which takes and sends nothing of the topology's.
+"""Independent nodes next to a topology: each is a separate process that shares no topic with the topology.
 
-What they cost the topology is what `rtrun influence` measures.
+`rtrun influence` measures how much they disturb the topology.
 """
 
 import re
@@ -10,7 +10,7 @@ from enum import StrEnum
 from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, TopologyTopic, Waits
 
 OTHER_NODES = "other_nodes"
-"""The parameter of a run that names the nodes beside its topology; empty: none."""
+"""The parameter of a run that names the nodes next to its topology; empty: none."""
 _TEXT = re.compile(r"([1-9][0-9]?) (idle|busy|publishing)(?: on ([0-9]{1,4}))?", re.ASCII)
 
 
@@ -18,11 +18,11 @@ class OtherKind(StrEnum):
     """What such a node does."""
 
     IDLE = "idle"
-    """Nothing, but that its middleware runs."""
+    """It does nothing, but its middleware runs."""
     BUSY = "busy"
     """It takes 2 ms of CPU time every 10 ms."""
     PUBLISHING = "publishing"
-    """It sends 10 kB every 10 ms on a topic of its own, to a process of its own that takes them."""
+    """It sends 10 kB every 10 ms on its own topic to a receiver, which is another process."""
 
 
 IDLE_NS = 1_000_000_000
@@ -33,7 +33,7 @@ PAYLOAD_BYTES = 10_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OtherNodes:
-    """So many nodes of a kind; `cpu`: the one on which they run, None: any."""
+    """A number of nodes of one kind; `cpu` is the CPU on which they run, None: any."""
 
     number: int
     kind: OtherKind
@@ -54,9 +54,9 @@ def read_other_nodes(text: str) -> OtherNodes:
 
 
 def beside(topology: Topology, others: OtherNodes) -> tuple[Topology, tuple[str, ...]]:
-    """A topology with other nodes beside it, and the names of these.
+    """A topology extended by other nodes, and the names of these nodes.
 
-    They have the policy and the priority of its first thread: so neither comes before the other.
+    They have the policy and the priority of its first thread, so that neither precedes the other.
     """
     taken = {*topology.node, *topology.executor, *topology.processes}
     first = topology.executors[0]

@@ -1,4 +1,4 @@
-"""What a run measures of a topology: which paths, and what has a deadline."""
+"""What a run measures of a topology: which paths, and which deadlines."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,12 +19,12 @@ from rtrun.plan.topology.topology import NodePath, Topology
 SUITE = "topology"
 """The suite of a run of a topology, whose streams are runs of the suites of their kinds."""
 PATHS_MAX = 32
-"""So many paths are measured where nobody names any, the longest ones: each is a run directory for itself."""
+"""If no paths are named, this many are measured, the longest ones: each becomes a run directory."""
 
 ACTIVATIONS_MAX = 10**9
-"""Of a node in a run: each is a row that the program keeps in memory."""
+"""The most activations of a node in a run: the program keeps a row for each in memory."""
 WARM_UP_NS = 500_000_000
-"""What is run before the measuring, and is in no stream."""
+"""How long the topology runs before the measuring; no stream includes this time."""
 _NAMED = 4
 
 T = TypeVar("T")
@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopologyPlan:
-    """What a run of a topology measures: how long after the common start, which paths, what has which deadline."""
+    """What a run of a topology measures: how long after the common start, which paths, and which deadlines."""
 
     word: ClassVar[str] = "topology"
     is_observed: ClassVar[bool] = False
@@ -43,15 +43,15 @@ class TopologyPlan:
     paths: tuple[NodePath, ...]
     deadlines: tuple[StreamDeadline, ...] = ()
     others: tuple[str, ...] = ()
-    """Nodes of the topology beside those that are measured: nothing of them is kept."""
+    """Nodes of the topology that are not measured: nothing of them is kept."""
 
     @property
     def measure_ns(self) -> int:
-        """For how long after the start periods begin."""
+        """For how long after the start new periods begin."""
         return measure_ns(self.for_s)
 
     def beside(self, text: str) -> "TopologyPlan":
-        """The plan with other nodes beside it, as `read_other_nodes` takes them; empty: none. Raises ValueError."""
+        """The plan with other nodes added, in the form of `read_other_nodes`; empty: none. Raises ValueError."""
         if not text:
             return self
         topology, others = beside(self.topology, read_other_nodes(text))
@@ -59,7 +59,7 @@ class TopologyPlan:
 
 
 def measure_ns(for_s: float) -> int:
-    """For how long after the start periods begin in a run that measures for so many seconds."""
+    """For how long after the start new periods begin, in a run that measures for `for_s` seconds."""
     return WARM_UP_NS + round(for_s * 1e9)
 
 
@@ -72,10 +72,11 @@ def plan_topology(
     where: Place,
     errors: list[str],
 ) -> TopologyPlan | None:
-    """What is measured of a topology: the paths that it and a campaign name, and those of deadlines.
+    """Plan what to measure of a topology: the paths that it and a campaign name, and the paths of deadlines.
 
-    Where nobody names one, all from source to sink, of more than `PATHS_MAX` the longest ones. None where the campaign,
-    which is at `where`, names paths or deadlines of what is not there: `errors` get what is wrong, one a line.
+    If no path is named, all paths from source to sink, of more than `PATHS_MAX` the longest ones. Returns None if the
+    campaign, which is at `where`, names paths or deadlines of something that does not exist, or a node would be
+    activated more than `ACTIVATIONS_MAX` times; `errors` then gets the mistakes, one a line.
     """
     before = len(errors)
     rows = most_activations(topology, measure_ns(for_s))
@@ -86,7 +87,7 @@ def plan_topology(
     _check_each(where / "deadlines", deadlines, lambda deadline: check_deadline(topology, deadline), errors)
     if len(errors) > before:
         return None
-    # That of the campaign is asked where the topology has another one.
+    # A deadline of the campaign overrides that of the topology.
     deadlines = tuple({(each.kind, each.name): each for each in (*own_deadlines(topology), *deadlines)}.values())
     of_deadlines = (tuple(each.name.split(",")) for each in deadlines if each.stream.is_of_paths)
     named = dict.fromkeys((*(each.topics for each in topology.paths), *paths, *of_deadlines))
@@ -106,7 +107,7 @@ def _check_each(where: Place, items: Sequence[T], check: Callable[[T], object], 
 
 
 def own_deadlines(topology: Topology) -> Iterator[StreamDeadline]:
-    """The deadlines that stand in the topology file."""
+    """The deadlines in the topology file."""
     for node in topology.nodes:
         if node.deadline_ns:
             yield StreamDeadline(kind=RESPONSE.word, name=node.full_name, deadline_ns=node.deadline_ns)
@@ -117,7 +118,7 @@ def own_deadlines(topology: Topology) -> Iterator[StreamDeadline]:
 
 
 def check_deadline(topology: Topology, deadline: StreamDeadline) -> None:
-    """Refuse a deadline of what is not there. Raises ValueError."""
+    """Refuse a deadline of something that does not exist. Raises ValueError."""
     if deadline.stream.is_of_paths:
         topology.paths_of(tuple(deadline.name.split(",")))
     elif deadline.stream.named_by == "topic":

@@ -10,32 +10,32 @@ from rtfiles.output import listed
 from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, Waits
 
 RT_SHARE = 0.95
-"""What real-time threads get of each CPU where nobody has changed sched_rt_runtime_us (sched(7))."""
+"""The share of each CPU that real-time threads get by default: sched_rt_runtime_us (sched(7))."""
 NumberT = TypeVar("NumberT", int, float)
 _ROUNDING = 1e-9
 _UNIONS_MAX = 4096
 
 
 def rates_hz(topology: Topology) -> Mapping[str, float]:
-    """Activations a second of each node, by name, where nothing is lost and nothing is late.
+    """Activations per second of each node, by name, if nothing is lost and nothing is late.
 
-    A node without a period follows those that send to it: with ``any`` the sum of them, with ``all`` the slowest one.
+    A node without a period follows its senders: with ``any`` their sum, with ``all`` the slowest one.
     """
     return _followed(topology, lambda node: 1e9 / node.period_ns)
 
 
 def most_activations(topology: Topology, measure_ns: int) -> Mapping[str, int]:
-    """The most activations that each node can have, by name, where periods begin for so long after the start."""
+    """The most activations that each node can have, by name, if periods begin until `measure_ns` after the start."""
     return _followed(topology, lambda node: period_points(node, measure_ns))
 
 
 def period_points(node: TopologyNode, measure_ns: int) -> int:
-    """How often the period of a node begins for so long after the start."""
+    """How many times the period of a node begins until `measure_ns` after the start."""
     return max(0, -((node.offset_ns - measure_ns) // node.period_ns))
 
 
 def _followed(topology: Topology, of_period: Callable[[TopologyNode], NumberT]) -> dict[str, NumberT]:
-    """A number of each node by name, where those without a period follow those that send to them."""
+    """A number for each node, by name; nodes without a period follow their senders."""
     before = {
         node.name: [] if node.waits is Waits.PERIOD else [topology.publisher[topic].name for topic in node.inputs]
         for node in topology.nodes
@@ -51,14 +51,14 @@ def _followed(topology: Topology, of_period: Callable[[TopologyNode], NumberT]) 
 
 
 def shares(topology: Topology) -> Mapping[str, float]:
-    """The share of one CPU that each node's busy time takes, by name; what middleware and kernel take comes on top."""
+    """The share of one CPU that each node's busy time takes, by name. Middleware and kernel take more in addition."""
     rates = rates_hz(topology)
     return {node.name: rates[node.name] * node.busy_ns / 1e9 for node in topology.nodes}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CpuDemand:
-    """What executors that may run on the same CPUs ask of them together; no CPUs: any of the target."""
+    """The total demand of executors that may run on the same CPUs; no CPUs: any of the target."""
 
     cpus: tuple[int, ...]
     executors: tuple[Executor, ...]
@@ -67,7 +67,7 @@ class CpuDemand:
 
 
 def demands(topology: Topology) -> tuple[CpuDemand, ...]:
-    """What is asked of each set of CPUs that executors name, those of one CPU first, those of any CPU last."""
+    """The demand on each set of CPUs that executors name; single CPUs come first, "any CPU" comes last."""
     of_executor = _executor_shares(topology)
     by_cpus: dict[tuple[int, ...], list[Executor]] = {}
     for executor in topology.executors:
@@ -80,10 +80,10 @@ def demands(topology: Topology) -> tuple[CpuDemand, ...]:
 
 
 def overloads(topology: Topology) -> Iterator[str]:
-    """What cannot fit: threads that are asked for more than a CPU, CPUs that are asked for more than they have.
+    """What cannot fit: threads that need more than one CPU, and sets of CPUs that are too small.
 
-    A set of CPUs has too little where the executors that may run nowhere else ask for more. Executors move between
-    their CPUs as they like, so what is reported here cannot fit, wherever the kernel runs them.
+    A set of CPUs is too small if the executors that may run nowhere else need more. This assumes that executors move
+    freely between their CPUs, so what is reported cannot fit, wherever the kernel runs them.
     """
     of_node, of_executor = shares(topology), _executor_shares(topology)
     for executor in topology.executors:
@@ -94,7 +94,7 @@ def overloads(topology: Topology) -> Iterator[str]:
     for cpus in _unions({frozenset(executor.cpus) for executor in topology.executors if executor.cpus}):
         bound = {each.name for each in topology.executors if each.cpus and cpus.issuperset(each.cpus)}
         asked = sum(of_executor[name] for name in bound)
-        # Of a set within it, or of its only thread, it has been said.
+        # Skip it if a set within it, or its only thread, was reported already.
         if asked > len(cpus) + _ROUNDING and not any(each <= cpus for each in told):
             told.append({*cpus})
             nodes = [node for node in topology.nodes if node.executor in bound]
@@ -111,9 +111,10 @@ def _executor_shares(topology: Topology) -> dict[str, float]:
 
 
 def _unions(sets: set[frozenset[int]]) -> Iterator[frozenset[int]]:
-    """The sets, and the unions of those of them that overlap in a chain, the smallest first.
+    """The sets, and the unions of sets that overlap in a chain, the smallest first.
 
-    0-1 and 1-2 together may be too small where neither is. Of more than some thousand unions some are left out.
+    0-1 and 1-2 together may be too small although neither is. If there are more than some thousand unions, some are
+    left out.
     """
     found, new = set(sets), set(sets)
     while new and len(found) < _UNIONS_MAX:

@@ -32,7 +32,7 @@ from rtrun.plan.topology.topology import (
 )
 
 OTHERS_SUFFIX = ".json"
-"""Of files of irobot-ros/ros2-performance."""
+"""The ending of files of irobot-ros/ros2-performance."""
 
 
 def _cpus(value: object) -> tuple[int, ...]:
@@ -96,7 +96,7 @@ class TopicEntry(Config):
 
 
 class CommonEntry(ThreadEntry, TopicEntry):
-    """What threads of nodes, and topics, have of which the file does not say otherwise."""
+    """Defaults for the threads of nodes and for topics."""
 
 
 class PathEntry(Config):
@@ -117,12 +117,12 @@ class TopologyEntry(Config):
     topics: dict[TopicName, TopicEntry] = Field(default_factory=dict)
     paths: Annotated[list[PathEntry], Field(max_length=NODES_MAX)] = Field(default_factory=list)
     may_overload: bool = False
-    """Whether it is measured though it asks for more CPU time than there is."""
+    """Whether to measure it even though it asks for more CPU time than there is."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopologyFile:
-    """What was read; `remarks` say what of a file of others has no counterpart here."""
+    """The topology that was read; `remarks` list what has no counterpart here in a file of ros2-performance."""
 
     topology: Topology
     remarks: tuple[str, ...] = ()
@@ -158,7 +158,7 @@ def _topology(entry: TopologyEntry) -> Topology:
     executors = {}
     for name, node in entry.nodes.items():
         executor = _executor(name, node, entry.common)
-        # The first of those that share it may leave to the others what process it is of; the rest is the same in all.
+        # Any one of the nodes that share an executor may name its process; everything else is the same in all.
         if executor.name not in executors or node.process:
             executors[executor.name] = executor
     nodes = tuple(_node(name, node) for name, node in entry.nodes.items())
@@ -212,7 +212,7 @@ def _topic(name: str, topic: TopicEntry, common: CommonEntry) -> TopologyTopic:
 
 
 def _mistakes(entry: TopologyEntry, top: Place) -> Iterator[str]:
-    """What a single node or topic has wrong, and nodes that share a thread disagree about."""
+    """Mistakes of single nodes and topics, and settings on which nodes of one thread disagree."""
     published = {topic for node in entry.nodes.values() for topic in node.outputs}
     for name, node in entry.nodes.items():
         yield from _mistakes_of_node(node, entry.common, top / "nodes" / name)
@@ -243,7 +243,7 @@ def _mistakes_of_node(node: NodeEntry, common: ThreadEntry, where: Place) -> Ite
 
 
 def _disagreements(entry: TopologyEntry, where: Place) -> Iterator[str]:
-    """Nodes of one thread of which the file says different things."""
+    """Conflicting settings for nodes of one thread."""
     first: dict[str, tuple[str, Executor]] = {}
     processes: dict[str, str] = {}
     for name, node in entry.nodes.items():
@@ -264,7 +264,7 @@ def _disagreements(entry: TopologyEntry, where: Place) -> Iterator[str]:
 
 
 def _unfit(topology: Topology, top: Place) -> Iterator[str]:
-    """What of the graph as a whole cannot run: topics with two publishers or none, cycles, paths that are not there."""
+    """Mistakes of the graph as a whole: topics with two publishers or none, cycles, paths that do not exist."""
     publishers: dict[str, str] = {}
     for node in topology.nodes:
         for number, topic in enumerate(node.outputs):
@@ -292,7 +292,7 @@ def _unfit(topology: Topology, top: Place) -> Iterator[str]:
 
 
 def _cycle_without_period(topology: Topology, publishers: Mapping[str, str]) -> Sequence[str]:
-    """Nodes that activate one another in a circle; empty where there is none."""
+    """Nodes that activate one another in a circle; empty: there is no circle."""
     activated = [node for node in topology.nodes if node.waits is not Waits.PERIOD]
     names = {node.name for node in activated}
     before = {

@@ -1,7 +1,7 @@
-"""Graphs of irobot-ros/ros2-performance: its JSON read into a topology, and what of it has no counterpart said.
+"""Graphs of irobot-ros/ros2-performance: read its JSON into a topology, and report what has no counterpart.
 
-Its nodes send on timers of each publisher, whatever has come; here a node that sends takes the newest of its inputs, so
-that what comes out can be followed to what went in. All nodes of a file are one process there and here.
+There, every publisher of a node sends on its own timer, whatever has come in. Here, a node that sends takes the newest
+of its inputs, so that outputs can be followed back to inputs. In both, all nodes of a file are one process.
 """
 
 import re
@@ -40,7 +40,7 @@ Default = Literal["default"]
 
 
 class EndText(Config):
-    """What publishers, subscribers, clients and servers have in common there."""
+    """What publishers, subscribers, clients and servers of such a file have in common."""
 
     qos_depth: Annotated[int, Field(ge=1, le=10_000)] | None = None
     qos_history: Literal["system_default", "keep_last", "keep_all", "unknown"] = "keep_last"
@@ -57,7 +57,7 @@ class EndText(Config):
 
     @property
     def period_ns(self) -> int | None:
-        """Its period, in the whole microseconds that it has there; None: nothing sends it."""
+        """Its period, which the file has in whole microseconds; None: nothing sends it."""
         period_ms = 1000 / self.freq_hz if self.freq_hz else self.period_ms
         return int(period_ms * 1000) * 1000 if period_ms else None
 
@@ -103,7 +103,7 @@ class GraphText(Config):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OthersGraph:
-    """A topology that was read, not yet known to be sound, and what has no counterpart in it."""
+    """A topology that was read but is not yet known to be sound, and what has no counterpart in it."""
 
     topology: Topology
     remarks: tuple[str, ...]
@@ -162,7 +162,7 @@ def _wrong(named: list[tuple[str, NodeText, Place]]) -> Iterator[str]:
 
 
 def _nodes(name: str, text: NodeText) -> Iterator[TopologyNode]:
-    """A node for each period at which one of theirs sends, the first takes what it subscribes to."""
+    """One node here for each period at which a node there sends; the first one takes its subscriptions."""
     executor = f"executor{text.executor_id}"
     inputs = tuple(dict.fromkeys(end.topic for end in text.subscribers))
     by_period = _by_period(text)
@@ -180,7 +180,7 @@ def _nodes(name: str, text: NodeText) -> Iterator[TopologyNode]:
 
 
 def _by_period(text: NodeText) -> dict[int, list[str]]:
-    """The topics that one of their nodes sends, by period."""
+    """The topics that a node of the file sends, by period."""
     by_period: dict[int, list[str]] = {}
     for end in text.publishers:
         by_period.setdefault(end.period_ns or 0, []).append(end.topic)
@@ -195,7 +195,7 @@ def _topic(end: TopicEnd) -> TopologyTopic:
 
 
 def _payload_bytes(end: TopicEnd) -> int:
-    """Bytes of the payload of a type, beside the header that every message has there and here."""
+    """Bytes of the payload of a type, without the header that every message has there and here."""
     parts = _TYPE.fullmatch(end.msg_type)
     assert parts is not None
     number, unit, several, element, vector = parts.groups()
@@ -205,7 +205,7 @@ def _payload_bytes(end: TopicEnd) -> int:
 
 
 def _remarks(named: list[tuple[str, NodeText]]) -> Iterator[str]:
-    """What has no counterpart, each kind of thing once, with how often and where it stands."""
+    """What has no counterpart: each kind of thing once, with its count and places."""
     split = [
         f"{name} ({', '.join(dict.fromkeys(time_text(end.period_ns or 0) for end in text.publishers))})"
         for name, text in named

@@ -1,7 +1,7 @@
 """A topology: nodes, what each waits for, does and sends; the topics between them, and the threads they run in.
 
-A **node** has one rule by which it is activated, one piece of work, and then sends one message on each of its outputs:
-message number n of each output is that of activation n. What has two rules is two nodes that share an executor. An
+A **node** is activated by one rule, does one piece of work, and then sends one message on each of its outputs: message
+number n of each output belongs to activation n. A node with two rules is described as two that share an executor. An
 **executor** is one thread, which runs the nodes that share it one activation at a time. A **process** has one executor
 or several. A **topic** has one publisher and any number of subscribers.
 """
@@ -17,7 +17,7 @@ Policy = Literal["0", "FIFO", "RR"]
 Reliability = Literal["reliable", "best_effort"]
 
 NODES_MAX = 256
-# From node to node in looking for paths: some graphs of twenty nodes have more of them than can be counted.
+# The most steps from node to node in a search for paths: some graphs of twenty nodes have too many paths to count.
 _STEPS = 10_000
 
 
@@ -31,7 +31,7 @@ class Waits(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TopologyTopic:
-    """A topic: `payload_bytes` of each message beside its header, and how it is delivered."""
+    """A topic: `payload_bytes` of each message without its header, and how messages are delivered."""
 
     name: str
     payload_bytes: int = 0
@@ -41,7 +41,7 @@ class TopologyTopic:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Executor:
-    """A thread: policy 0 is none, without a priority; no CPUs: all of the target."""
+    """A thread. Policy 0 is not real-time and has no priority; no CPUs: all of the target."""
 
     name: str
     process: str
@@ -55,7 +55,7 @@ class TopologyNode:
     """A node. `busy_ns` is the least CPU time of its thread in an activation, in which `touched_bytes` are written.
 
     With a period it is activated at `offset_ns` + k * `period_ns` after the common start, and takes the newest message
-    of each input. `deadline_ns` is that of its response: from when the activation was due to its end.
+    of each input. `deadline_ns` is the deadline of its response: from when the activation was due to its end.
     """
 
     name: str
@@ -77,7 +77,7 @@ class TopologyNode:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NamedPath:
-    """Topics that led from one to the next, with the deadlines of the file for what comes along them."""
+    """Topics that lead from one to the next, with the file's deadlines for data along them."""
 
     topics: tuple[str, ...]
     reaction_ns: int | None = None
@@ -93,7 +93,7 @@ class NodePath:
 
     @property
     def name(self) -> str:
-        """The parameter `path` of its streams, by which a deadline names it."""
+        """The parameter `path` of its streams; a deadline names the path like this."""
         return ",".join(self.topics)
 
     @property
@@ -104,9 +104,9 @@ class NodePath:
 
 @dataclass(frozen=True, kw_only=True)
 class Topology:
-    """A graph that is known to be sound: each input has its publisher, each topic one, no cycle is without a period.
+    """A graph that is known to be sound: each topic has exactly one publisher, and each cycle has a period.
 
-    Nodes are in the order of the file, topics in that of their publishers. `paths` are those that the file names.
+    Nodes are in the order of the file, topics in that of their publishers. `paths` are the paths that the file names.
     """
 
     name: str
@@ -152,7 +152,7 @@ class Topology:
         return tuple(node for node in self.nodes if not node.inputs)
 
     def is_sink(self, node: TopologyNode) -> bool:
-        """Whether nobody takes what it sends."""
+        """Whether no node takes what it sends."""
         return not any(self.takers[topic] for topic in node.outputs)
 
     def paths_of(self, topics: tuple[str, ...]) -> tuple[NodePath, ...]:
@@ -171,7 +171,7 @@ class Topology:
         return tuple(NodePath(topics=topics, nodes=(*nodes, last.name)) for last in self.takers[topics[-1]])
 
     def all_paths(self) -> tuple[NodePath, ...]:
-        """Every path from a source to a sink, in which no node stands twice; of graphs with very many, thousands."""
+        """Every path from a source to a sink without repeated nodes; of graphs with very many paths, some thousands."""
         before = {node.name: {self.publisher[topic].name for topic in node.inputs} for node in self.nodes}
         sinks = [node.name for node in self.nodes if self.is_sink(node)]
         begun = [NodePath(topics=(), nodes=(source.name,)) for source in reversed(self.sources)]
@@ -183,7 +183,7 @@ class Topology:
             last = self.node[path.sink]
             if path.topics and last.name in sinks:
                 found.append(path)
-            # From where a sink can still be reached, through nodes that are not in the path.
+            # The nodes from which a sink can still be reached through nodes that are not in the path.
             leads = [name for name in sinks if name not in path.nodes]
             seen = {*leads, *path.nodes}
             for name in leads:

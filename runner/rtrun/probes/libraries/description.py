@@ -1,6 +1,6 @@
-"""What is known of each library with probes without a target: `<name>.yml` beside this module.
+"""What is known of each library with probes, whatever the target: `<name>.yml` next to this module.
 
-A probe is what the kernel places at a function (Documentation/trace/uprobetracer.rst): the arguments it records are
+The kernel places a probe at a function (Documentation/trace/uprobetracer.rst). The arguments that it records are
 written as tracefs takes them, for each architecture.
 """
 
@@ -17,7 +17,7 @@ from rtfiles.config import Config, load_own, matching
 ARCHITECTURES = ("x86_64", "aarch64", "armv7")
 Architecture = Literal["x86_64", "aarch64", "armv7"]
 
-# What the kernel is asked to read: a register, a place in memory or the value returned, and its type.
+# What the kernel is asked to read: a register or a place in memory, and its type.
 Fetch = Annotated[
     str,
     matching(
@@ -36,21 +36,21 @@ class Halves(Config):
 
 
 class Seconds(Config):
-    """A time in nanoseconds, of its seconds and its nanoseconds."""
+    """A time in nanoseconds, made from its seconds and its nanoseconds."""
 
     seconds: Fetch
     nanoseconds: Fetch
 
 
 class Named(Config):
-    """A number that stands for a name; one that has none gives no value."""
+    """A number that stands for a name; a number without a name gives no value."""
 
     number: Fetch
     names: dict[Annotated[int, Field(strict=False)], str]
 
 
 class Reduced(Config):
-    """A number that is too large by so much; one that is smaller gives no value."""
+    """A number that is too large by `less`; a number smaller than `less` gives no value."""
 
     number: Fetch
     less: int
@@ -77,13 +77,13 @@ class Beside(Config):
 class Probe(Config):
     """A function whose calls are an event.
 
-    None is placed at a return: that changes the return address on the stack, and an exception of C++ that passes
-    through the function then ends the program.
+    No probe is placed at a return: it would change the return address on the stack, and a C++ exception that passes
+    through the function would then end the program.
     """
 
     event: _Name
     symbols: Annotated[tuple[str, ...], Field(strict=False, min_length=1)]
-    """The first of these that the library has, as it stands in its table."""
+    """Names as in the library's symbol table; the probe takes the first that the library has."""
     only_with: Beside | None = None
     only_without: Beside | None = None
     constants: dict[_Name, str | int] = Field(default_factory=dict)
@@ -121,5 +121,5 @@ def libraries() -> Mapping[str, Library]:
 
 
 def events() -> tuple[str, ...]:
-    """The events that there are, each once."""
+    """All events, each once."""
     return tuple(dict.fromkeys(probe.event for library in libraries().values() for probe in library.probes))

@@ -1,4 +1,4 @@
-"""The axes of plots: their division, and what is written at which place of them."""
+"""The axes of plots: their division, and the labels at their places."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -11,16 +11,16 @@ import numpy as np
 from rtfiles.quantities import grouped, time
 from rtrun.analysis.scale import Division, Scale
 
-_TICKS = 5  # as many are told apart on a phone
-_PARTS = 4  # of a stretched axis, of about equal size: an even number, for its middle
-_APART = 0.19  # of an axis: nearer than that their texts overlap
+_TICKS = 5  # this many can be told apart on a phone
+_PARTS = 4  # of a stretched axis, of about equal size: an even number, so that there is a middle
+_APART = 0.19  # of an axis: closer labels would overlap
 Unit = Literal["ns", "count", "share", "date"]
-"""What the numbers of an axis are: times in ns, counts, shares of a whole, or seconds since 1970."""
+"""What the numbers of an axis mean: times in ns, counts, shares of a whole, or seconds since 1970."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Axis:
-    """An axis by the name of what is measured along it; `ticks` are (value, text)."""
+    """An axis named after what is measured along it; `ticks` are (value, text)."""
 
     title: str
     unit: Unit
@@ -34,7 +34,7 @@ def times(title: str, scale: Scale) -> Axis:
 
 
 def counts(title: str, low: float, high: float) -> Axis:
-    """An even axis of whole numbers."""
+    """A linear axis of integers."""
     return _axis(title, "count", Scale(division=Division.LINEAR, low=low, high=high), grouped)
 
 
@@ -49,8 +49,8 @@ def shares(title: str, low: float, *, division: Division = Division.LOG, high: f
 
 
 def dates(title: str, low: float, high: float) -> Axis:
-    """An even axis of days; seconds since 1970."""
-    around = 0 if high > low else 30  # one moment is in the middle of a minute
+    """A linear axis of days; seconds since 1970."""
+    around = 0 if high > low else 30  # a single moment is in the middle of a minute
     scale = Scale(division=Division.LINEAR, low=low - around, high=max(high, low + 30))
     first, span = datetime(1970, 1, 1) + timedelta(seconds=low - around), scale.high - scale.low
     form = "%Y-%m-%d" if span >= 3 * 86400 else "%m-%d %H:%M"
@@ -85,7 +85,7 @@ def _round_values(scale: Scale) -> list[float]:
 
 
 def _spread(scale: Scale, values: Iterable[float]) -> list[float]:
-    """Those of ascending values whose texts do not overlap."""
+    """The ascending values without those whose labels would overlap."""
     kept: list[float] = []
     for value in values:
         if not kept or float(scale.at(value)) - float(scale.at(kept[-1])) >= _APART:
@@ -102,7 +102,7 @@ def _multiples(low: float, high: float) -> list[float]:
 
 
 def _roundest(low: float, value: float, high: float) -> float:
-    """The number with the fewest digits between two others, the one nearest to `value` of those."""
+    """Of the numbers with the fewest digits between two others, the one nearest to `value`."""
     if low <= 0 <= high:
         return 0.0
     for digits in range(1, 16):

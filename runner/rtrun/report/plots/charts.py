@@ -1,4 +1,4 @@
-"""The plots of a scenario, thinned so that no peak is lost."""
+"""The plots of a scenario, thinned without losing any peak."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -18,8 +18,8 @@ from rtrun.report.scenarios import Scenario, output_labels
 
 _BINS = 240
 _ROWS = 60
-_COLOURS = 8  # of the page, 0 to 7; so many outputs are drawn each on its own
-_EMPTY = 0.7  # where a bin without a value lies on the logarithmic axis of counts
+_COLOURS = 8  # of the page, 0 to 7; up to this many outputs are drawn separately
+_EMPTY = 0.7  # place of an empty bin on the logarithmic axis of counts
 _US = 1000.0
 _STRETCHED = " The axis is even around the median, and logarithmic away from it."
 
@@ -53,7 +53,7 @@ def _mark(kind: Any, name: str, x: Any, y: Any, colour: int = 0, **more: Any) ->
 
 
 def _limit(limit_ns: float | None, along: Axis, across: Axis, *, is_upright: bool) -> list[Mark]:
-    """The line of the deadline; none where there is no deadline, and its name alone where it is beyond the axis."""
+    """The line of the deadline; nothing without a deadline, and only its name where it is beyond the axis."""
     if limit_ns is None:
         return []
     scale = along.scale
@@ -129,14 +129,14 @@ def _exceedance(
 
 def _share_above(k: int, name: str, bins: Histogram) -> Mark:
     above = bins.n - np.cumsum(bins.counts)
-    # The last value has none above it, which a logarithm cannot show: half a value stands for it.
+    # No value is above the last one, which a logarithm cannot show: half a value stands for it.
     keep = _thin(np.log10(bins.n / np.maximum(above, 0.5)), 200)
     x = np.concatenate(([bins.values_ns[0]], bins.values_ns[keep] + bins.bin_ns))
     return _mark("steps", name, x, np.concatenate(([1.0], np.maximum(above[keep], 0.5) / bins.n)), k)
 
 
 def _thin(places: Any, most: int) -> Any:
-    """Indices of rising places, at most so many plus the last, evenly along the axis."""
+    """Indices of ascending places, at most `most` plus the last, evenly along the axis."""
     span = float(places[-1] - places[0]) or 1.0
     cell = np.floor((places - places[0]) / span * most)
     keep = np.flatnonzero(np.diff(cell, prepend=-1.0))
@@ -162,7 +162,7 @@ def _tail(bound: Bound, scale: Scale) -> list[Mark]:
 
 
 def _course(one: JudgedDigest, up: Axis, limit_ns: float | None, *, name: str) -> Plot:
-    """The course of an output, called by its `name` where there are others."""
+    """The course of an output, called by its `name` if there are others."""
     course = one.course
     assert course is not None
     skipped, size = len(one.header.startup), len(course.low_ns)
@@ -188,7 +188,7 @@ def _course(one: JudgedDigest, up: Axis, limit_ns: float | None, *, name: str) -
 
 
 def _over_time(one: JudgedDigest, measured: str) -> Plot:
-    """How the values lay from the first loop to the last."""
+    """How the values were distributed from the first loop to the last."""
     course = one.course
     assert course is not None
     skipped, columns = len(one.header.startup), course.counts.shape[1]

@@ -1,6 +1,6 @@
-"""A plot as what a page draws: SVG paths that stretch to the width there is, between ticks that are text of the page.
+"""A plot as a page draws it: SVG paths that stretch to the available width, between ticks that are page text.
 
-A page has its pictures the moment it opens, on paper and without scripts too; colours are those of its styles.
+The pictures are there as soon as the page opens, also on paper and without scripts; the page's styles colour them.
 """
 
 import base64
@@ -27,9 +27,9 @@ Kind = Literal["line", "solid", "steps", "area", "dots", "limit"]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Mark:
-    """Something drawn: a line, dashed or solid, steps that last until the next `x`, an area from `low` to `y`, dots.
+    """A thing to draw: a line, dashed or solid, steps that last until the next `x`, an area from `low` to `y`, dots.
 
-    `colour` is the number of one of the page's. A limit is no measurement: a line over the whole plot.
+    `colour` is the number of a colour of the page. A limit is not a measurement: a line across the whole plot.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Mark:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Cells:
-    """Counts as colours: `counts` (rows, columns) between the edges of the columns and those of the rows."""
+    """Counts as colours: `counts` (rows, columns) between the column edges and the row edges."""
 
     x_edges: Floats
     y_edges: Floats
@@ -51,7 +51,7 @@ class Cells:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Plot:
-    """A plot: `id` tells it from others of its scenario, `caption` says in a sentence what it shows."""
+    """A plot: `id` distinguishes it from others of its scenario, `caption` is a sentence on what it shows."""
 
     id: str
     caption: str
@@ -66,7 +66,7 @@ class Drawn:
     """A plot as a template takes it. Places are percentages of the drawing's width, and of its height from the top.
 
     `paths` are (class, colour, path), `keys` (class, colour, name), ticks (place, text). `data` is what was drawn, for
-    the page's script: it is shown under the pointer, and written as CSV.
+    the page's script, which shows it under the pointer and writes it as CSV.
     """
 
     id: str
@@ -126,7 +126,7 @@ def _data(plot: Plot) -> dict[str, Any]:
 
 
 def _path(plot: Plot, mark: Mark) -> str:
-    """The path of a mark; its points follow one another as those of the data do."""
+    """The path of a mark; its points have the order of the data."""
     xs, ys = _units(plot.x.scale.at(mark.x)), _units(1 - plot.y.scale.at(mark.y))
     if mark.kind == "dots":
         return "".join(f"M{x} {y}h0" for x, y in zip(xs, ys, strict=True))
@@ -140,7 +140,7 @@ def _path(plot: Plot, mark: Mark) -> str:
 
 
 def _steps(xs: Sequence[str], ys: Sequence[str], *, is_back: bool = False) -> str:
-    """A line whose height lasts from each point to the next; going back, it is reached before the point."""
+    """A line that keeps the height of a point up to the next one; going back, it changes before the point."""
     form = "V{1}H{0}" if is_back else "H{0}V{1}"
     rest = "".join(form.format(x, y) for x, y in zip(xs[1:], ys[1:], strict=True))
     return f"M{xs[0]} {ys[0]}{rest}" if xs else ""
@@ -151,27 +151,27 @@ def _units(places: Floats) -> list[str]:
 
 
 def _picture(plot: Plot, cells: Cells) -> str:
-    """A PNG of the cells, a pixel each, whose rows and columns are of equal size on the axes; transparent where 0."""
+    """A PNG of the cells, of equally large rows and columns on the axes; transparent where the count is 0."""
     rows = np.clip(np.searchsorted(cells.y_edges, _centres(plot.y, cells.counts.shape[0]), "right") - 1, 0, None)
     counts = cells.counts[np.minimum(rows, cells.counts.shape[0] - 1)][::-1]
     return "data:image/png;base64," + base64.b64encode(_png(_levels(counts))).decode()
 
 
 def _centres(axis: Axis, count: int) -> Floats:
-    # Two pixels a row at least, so that rows of unlike height keep their places.
+    # At least two pixels per row, so that rows of different height keep their places.
     pixels = 4 * count
     return axis.scale.values_at((np.arange(pixels) + 0.5) / pixels)
 
 
 def _levels(counts: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """0 for no value; from 1 to 255 by the logarithm of the count."""
+    """0 for an empty cell; 1 to 255 by the logarithm of the count."""
     most = max(2, int(counts.max()))
     levels = 1 + np.round(254 * np.log(np.maximum(counts, 1)) / np.log(most))
     return np.where(counts > 0, levels, 0).astype(np.uint8)
 
 
 def _png(levels: NDArray[np.uint8]) -> bytes:
-    """An image of a byte a pixel: colours by number, the first of which is transparent (PNG, W3C 2003)."""
+    """An image with a byte per pixel: indexed colours, the first of them transparent (PNG, W3C 2003)."""
 
     def chunk(kind: bytes, body: bytes) -> bytes:
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
@@ -192,17 +192,17 @@ def _png(levels: NDArray[np.uint8]) -> bytes:
 
 
 def _colours(most: int) -> list[tuple[str, str]]:
-    """The colours from few to many, each with the count it stands for, which no other has."""
+    """The colours from few to many, each with the count it stands for; no count occurs twice."""
     top = np.log(max(2, most))
     last = len(_FEW_TO_MANY) - 1
     exact = np.exp(top * np.arange(last + 1) / last)
-    # Of colours whose counts are rounded to the same one the nearest.
+    # Of colours with the same rounded count, keep the nearest.
     nearest_last = np.argsort(-np.abs(exact - np.round(exact)), kind="stable").tolist()
     of_count = {round(float(exact[k])): _FEW_TO_MANY[k] for k in nearest_last}
     return [(f"rgb{colour}".replace(" ", ""), grouped(count)) for count, colour in sorted(of_count.items())]
 
 
 def rounded(values: Any, digits: int = 6) -> list[float]:
-    """Plain numbers, those that are not whole with so many significant digits, for a page that stays small."""
+    """Plain numbers, non-integers rounded to `digits` significant digits, to keep the page small."""
     numbers = np.asarray(values, dtype=np.float64).tolist()
     return [int(value) if value.is_integer() else float(f"{value:.{digits}g}") for value in numbers]

@@ -13,16 +13,16 @@ from rtrun.plan.topology.topology import Topology, TopologyNode, Waits
 from rtrun.report.plots.layout import Layout, layered
 from rtrun.results.topology_record import CycleStep, HopFigures, NodeFigures, PathFigures
 
-# Sizes in pixels of the page: of a character, a line, a node, the way between two layers.
+# Sizes in pixels: a character, a line, the padding, the distance between two layers, the margin.
 _CHARACTER, _LINE, _PADDING, _WAY, _MARGIN = 6.6, 15.0, 8.0, 96.0, 12.0
 _NARROWEST = 96.0
 _HEAD = 8.0
-# Where on an arrow its text may stand, as parts of its length, the best place first.
+# Places for the text of an arrow, as fractions of its length, the best place first.
 _TRIED = (0.5, 0.38, 0.62, 0.27, 0.73, 0.2, 0.8, 0.12, 0.88)
 
-# From tick to tick of a timeline.
+# Distances between the ticks of a timeline.
 _STEPS_NS = [digit * 10**power for power in range(19) for digit in (1, 2, 5)]
-# Arrows back to a layer above stand so far to the right of those down from there.
+# How far arrows back up start to the right of the arrows down.
 _BACK = 14.0
 
 
@@ -37,7 +37,7 @@ class DrawnText:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DrawnNode:
-    """A box, its upper left corner, what stands in it, and what is told under the pointer."""
+    """A box: its upper left corner, its text, and the text under the pointer."""
 
     x: float
     y: float
@@ -50,7 +50,7 @@ class DrawnNode:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DrawnArrow:
-    """An arrow as paths of its line and its head; no text where there was no room for it."""
+    """An arrow: the paths of its line and its head; without text where there was no room for it."""
 
     line: str
     head: str
@@ -61,7 +61,7 @@ class DrawnArrow:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimelineRow:
-    """A node's part of a cycle: bars of (class, left, width) in percentages of the whole, told in words."""
+    """A node's part of a cycle: bars of (class, left, width) in percentages of the whole, and the same in words."""
 
     name: str
     bars: tuple[tuple[str, float, float], ...]
@@ -70,7 +70,7 @@ class TimelineRow:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DrawnTopology:
-    """All of the picture; `ticks` of the timeline are (place in per cent, text), `cycle` says which one it shows."""
+    """The whole picture; `ticks` of the timeline are (place in per cent, text), `cycle` names the cycle shown."""
 
     label: str
     run: str
@@ -84,7 +84,7 @@ class DrawnTopology:
 
 
 def drawn_topology(of: MeasuredTopology) -> DrawnTopology:
-    """The picture of the run that is shown."""
+    """The picture of the displayed run."""
     topology, critical = of.shown.topology, of.critical
     figures = {each.node: each for each in of.shown.nodes}
     texts = {node.name: _node_lines(node, figures.get(node.name)) for node in topology.nodes}
@@ -111,7 +111,7 @@ def drawn_topology(of: MeasuredTopology) -> DrawnTopology:
         width=place.width,
         height=place.height,
         nodes=nodes,
-        # Drawn last, it lies above the others.
+        # Drawn last, it is on top of the others.
         arrows=arrows[::-1],
         cycle=_cycle_text(critical, topology) if critical and critical.worst else "",
         timeline=tuple(_timeline(critical.worst)) if critical else (),
@@ -157,7 +157,7 @@ class _Places:
 
 
 def _node_lines(node: TopologyNode, figures: NodeFigures | None) -> list[tuple[str, str]]:
-    """What stands in a node: (text, class)."""
+    """The text in a node: (text, class)."""
     waits = {
         Waits.PERIOD: f"every {time(node.period_ns)}",
         Waits.ANY: "on each message",
@@ -209,7 +209,7 @@ def _arrow(
     *,
     is_critical: bool,
 ) -> DrawnArrow:
-    """An arrow between two nodes, whose text is added to what is `taken`."""
+    """An arrow between two nodes; the place of its text is added to `taken`."""
     lines = [line for hop in hops for line in _hop_lines(hop)]
     told = printable("; ".join(f"{hop.topic}: {_hop_told(hop)}" for hop in hops))
     style = "critical" if is_critical else ""
@@ -232,7 +232,7 @@ def _arrow(
 
 
 def _curve(points: Sequence[tuple[float, float]]) -> str:
-    """A path through points, upright at each."""
+    """A path through points, vertical at each of them."""
     path = f"M{points[0][0]:.1f} {points[0][1]:.1f}"
     for (x, y), (to_x, to_y) in itertools.pairwise(points):
         middle = (y + to_y) / 2
@@ -245,12 +245,12 @@ def _text_on(
     lines: Sequence[tuple[str, str]],
     taken: list[tuple[float, float, float, float]],
 ) -> DrawnText | None:
-    """The text of an arrow where nothing else stands; None where there is no such place."""
+    """The text of an arrow at a free place; None where there is none."""
     width, height = _CHARACTER * max(len(line) for line, _ in lines) + _PADDING, _LINE * len(lines)
     pieces = list(itertools.pairwise(points))
     for part in _TRIED:
         for (x, y), (to_x, to_y) in pieces:
-            # The curve of `_curve`: upright at both ends, half-way in the middle.
+            # The curve of `_curve`: vertical at both ends, half-way in the middle.
             at_x = x + (to_x - x) * part**2 * (3 - 2 * part)
             at_y = (y * (1 - part) ** 3 + to_y * part**3) + 3 * part * (1 - part) * (y + to_y) / 2
             box = (at_x - width / 2, at_y - height / 2, at_x + width / 2, at_y + height / 2)
@@ -284,7 +284,7 @@ def _cycle_text(path: PathFigures, topology: Topology) -> str:
 
 
 def _timeline(worst: Sequence[CycleStep]) -> Iterator[TimelineRow]:
-    """A row for each node of a cycle: its message on the way, what it waited, worked and published."""
+    """A row for each node of a cycle: when its message was on the way, and when it waited, worked and published."""
     whole = max(worst[-1].end_ns, 1)
     came: CycleStep | None = None
     for step in worst:
@@ -294,7 +294,7 @@ def _timeline(worst: Sequence[CycleStep]) -> Iterator[TimelineRow]:
         if came is not None and came.publication_ns is not None and came.reception_ns is not None:
             parts = [
                 ("way", came.publication_ns, came.reception_ns),
-                # Before it was due it waited for its period, or for its other inputs; after, for its CPU.
+                # Until it was due, it waited for its period or its other inputs; then for its CPU.
                 ("idle", came.reception_ns, max(came.reception_ns, step.release_ns)),
                 ("wait", max(came.reception_ns, step.release_ns), step.begin_ns),
                 *parts[1:],
@@ -312,7 +312,7 @@ def _timeline(worst: Sequence[CycleStep]) -> Iterator[TimelineRow]:
 
 
 def _ticks(whole_ns: int) -> Iterator[tuple[float, str]]:
-    """Round times, six at most."""
+    """Round times, at most six."""
     step_ns = next(step for step in _STEPS_NS if 5 * step >= whole_ns)
     for at_ns in range(0, whole_ns + 1, step_ns):
         yield 100 * at_ns / max(whole_ns, 1), time(at_ns)

@@ -1,6 +1,6 @@
-"""Where the nodes of a graph stand in a picture: in layers from the top down, with as few arrows across each other.
+"""Places the nodes of a graph in a picture: in layers from the top down, with few crossing arrows.
 
-After Sugiyama, Tagawa & Toda 1981: arrows that close a circle are turned round, layers are longest paths, an arrow over
+After Sugiyama, Tagawa & Toda 1981: arrows that close a cycle are reversed, layers are longest paths, an arrow over
 several layers bends at a place in each, and the order in a layer follows the means of the neighbours.
 """
 
@@ -12,11 +12,11 @@ from typing import NamedTuple
 Arrow = tuple[str, str]
 _SWEEPS = 12
 _GAP = 28.0
-_BEND = 40.0  # what an arrow takes in a layer that it passes
+_BEND = 40.0  # the width that an arrow needs in a layer that it passes
 
 
 class _Place(NamedTuple):
-    """A node in its layer, or where an arrow from one node to another passes a layer."""
+    """A node in its layer, or a place where an arrow passes through a layer."""
 
     one: str
     two: str
@@ -28,9 +28,9 @@ Neighbours = Mapping[_Place, list[_Place]]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Layout:
-    """`layer` and centre `x` of each node; `bends` are the places (layer, x) that an arrow goes through on its way.
+    """The `layer` and centre `x` of each node; `bends` are the places (layer, x) that an arrow passes through.
 
-    `width` is that of all, `layers` their number.
+    `width` is the total width, `layers` the number of layers.
     """
 
     layer: Mapping[str, int]
@@ -41,7 +41,7 @@ class Layout:
 
 
 def layered(widths: Mapping[str, float], arrows: Sequence[Arrow]) -> Layout:
-    """Lay out nodes, given with their widths, and arrows between different ones, each once."""
+    """Lay out nodes, given with their widths, and arrows between different nodes, each arrow once."""
     downwards = _downwards(list(widths), arrows)
     layer = _layers(list(widths), downwards)
     node = {name: _Place(name, "", layer[name]) for name in widths}
@@ -75,14 +75,14 @@ def layered(widths: Mapping[str, float], arrows: Sequence[Arrow]) -> Layout:
 
 
 def _downwards(names: Sequence[str], arrows: Sequence[Arrow]) -> list[Arrow]:
-    """The arrows, those turned round that would close a circle."""
+    """The arrows; those that would close a cycle are reversed."""
     after: dict[str, list[str]] = {name: [] for name in names}
     for one, two in arrows:
         after[one].append(two)
     entered = {two for _, two in arrows}
     turned: set[Arrow] = set()
     done: set[str] = set()
-    # From where nothing comes first, so that these stand at the top.
+    # Start at nodes without incoming arrows, so that these are at the top.
     for start in (*(name for name in names if name not in entered), *names):
         way, rest = ([start], [iter(after[start])]) if start not in done else ([], [])
         done.add(start)
@@ -101,7 +101,7 @@ def _downwards(names: Sequence[str], arrows: Sequence[Arrow]) -> list[Arrow]:
 
 
 def _layers(names: Sequence[str], arrows: Sequence[Arrow]) -> dict[str, int]:
-    """How many arrows lead to a node at most."""
+    """The layer of each node: the length of the longest path to it."""
     layer = dict.fromkeys(names, 0)
     for _ in names:
         moved = False
@@ -114,7 +114,7 @@ def _layers(names: Sequence[str], arrows: Sequence[Arrow]) -> dict[str, int]:
 
 
 def _order(rows: list[list[_Place]], above: Neighbours, below: Neighbours) -> None:
-    """Order each row by the mean places of its neighbours in the row before it, down and up in turn."""
+    """Order each row by the mean places of its neighbours in the row before, alternating down and up."""
     for sweep in range(_SWEEPS):
         neighbours, turn = (above, rows[1:]) if sweep % 2 == 0 else (below, rows[-2::-1])
         for row in turn:
@@ -128,7 +128,7 @@ def _places(
     below: Neighbours,
     width: Mapping[_Place, float],
 ) -> dict[_Place, float]:
-    """Centres: in the order of the rows, with gaps between them, near the means of their neighbours."""
+    """Centres in the order of the rows, with gaps between them, near the means of their neighbours."""
     x: dict[_Place, float] = {}
     for row in rows:
         at = 0.0
@@ -145,7 +145,7 @@ def _places(
 
 
 def _apart(row: Sequence[_Place], wanted: Sequence[float], width: Mapping[_Place, float]) -> list[float]:
-    """Places in their order and apart from each other, as near to what is wanted as a pass from each side gets."""
+    """Places in their order and apart, as near to the wanted places as one pass from each side achieves."""
     least = [(width[one] + width[two]) / 2 + _GAP for one, two in itertools.pairwise(row)]
     right, left = list(wanted), list(wanted)
     for place, step in enumerate(least, start=1):

@@ -1,7 +1,7 @@
-"""The picture beside every log: ``<name>.jpg`` of ``<name>.log``, drawn by gnuplot.
+"""The picture next to every log: ``<name>.jpg`` for ``<name>.log``, drawn by gnuplot.
 
-gnuplot draws a log as it is, but a log comes from a target and its lines are commands that gnuplot would obey
-(``system``, backquotes). So the log is read, and what is drawn is a script of ours with its numbers.
+gnuplot could draw a log directly, but a log comes from a target, and gnuplot would obey commands in its lines
+(``system``, backquotes). So the log is read, and gnuplot draws our own script with the log's numbers.
 """
 
 import os
@@ -19,7 +19,7 @@ _TIMEOUT_S = 60
 
 
 def draw_all(logs: Iterable[Path]) -> list[str]:
-    """Draw every log that has no picture yet, or an older one. Returns what could not be drawn, one line each.
+    """Draw every log that has no picture or an older one. Returns what could not be drawn, one line each.
 
     Raises InfrastructureError when there is no gnuplot or a folder cannot be written.
     """
@@ -42,7 +42,7 @@ def _is_stale(log: Path) -> bool:
 
 
 def draw(path: Path) -> Path:
-    """Draw one log and return its picture. Raises UsageError when it is none, InfrastructureError without gnuplot."""
+    """Draw a log and return its picture. Raises UsageError if it is not a log, InfrastructureError without gnuplot."""
     log = read_log(path)
     picture = path.with_suffix(".jpg")
     try:
@@ -76,7 +76,7 @@ def draw(path: Path) -> Path:
 
 
 def script(log: Log, output: str) -> str:
-    """The gnuplot script of a log: the picture the log's own commands make, nothing of its text in it but words."""
+    """The gnuplot script of a log: the picture that the log's own commands make, but only words of its text."""
     title = re.sub(r"[^A-Za-z0-9 .,:=+_()-]", " ", log.path.stem).replace("_", r"\\_")
     n = int(log.count.sum())
     lines = [
@@ -99,7 +99,7 @@ def script(log: Log, output: str) -> str:
     previous = low - 1
     lines.append(f"{previous} 0.1")
     for value, count in zip(log.value_us.tolist(), log.count.tolist(), strict=True):
-        # Empty bins are told only at the edges of what is filled: a log of seconds has a million of them.
+        # Empty bins are included only at the edges of filled ranges: a log of seconds has a million of them.
         if value > previous + 1:
             lines.append(f"{previous + 1} 0.1")
         lines.append(f"{value} {count}")

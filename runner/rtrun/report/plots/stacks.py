@@ -8,13 +8,13 @@ from rtfiles.quantities import signed, time
 from rtrun.report.layers import LayerBar
 
 _COLOURS = 8  # of the page, 0 to 7
-# A bar so many times as long as most does not set the scale: the others could not be seen.
+# A bar longer than most by this factor does not set the scale: it would make the others invisible.
 _LONGER = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StackPart:
-    """One layer of a bar: places are percentages of the picture's width, those of the interval's ends last."""
+    """One layer of a bar: places are percentages of the picture's width; the ends of the interval come last."""
 
     text: str
     colour: int
@@ -26,12 +26,12 @@ class StackPart:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stack:
-    """The bar of a chain of layers, from the lowest one on."""
+    """The bar of a chain of layers, from the lowest up."""
 
     name: str
     parts: tuple[StackPart, ...]
     is_cut: bool
-    """The bar, or an interval in it, goes on beyond the picture."""
+    """The bar, or an interval in it, extends beyond the picture."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,11 +40,11 @@ class Stacks:
 
     bars: tuple[Stack, ...]
     width: str
-    """What the whole picture stands for."""
+    """The time that the whole width stands for."""
 
 
 def stacked(chains: Sequence[Sequence[LayerBar]]) -> Stacks | None:
-    """A bar for each chain of layers; None where there is none."""
+    """A bar for each chain of layers; None without chains."""
     if not chains:
         return None
     width_us = _width_us(chains) or 1.0
@@ -60,7 +60,7 @@ def _begins_us(chain: Sequence[LayerBar]) -> list[float]:
 
 
 def _end_us(chain: Sequence[LayerBar]) -> float:
-    """The end of a bar and of the intervals in it."""
+    """Where a bar ends, including its intervals."""
     return max(begin + max(bar.us, bar.high_us) for begin, bar in zip(_begins_us(chain), chain, strict=False))
 
 

@@ -1,1 +1,1 @@
-"""Readers of what other programs measured, and the file that keeps a histogram with what it lacks."""
+"""Readers of other programs' measurements, and the file that keeps a histogram and what its format left out."""

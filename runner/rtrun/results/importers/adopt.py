@@ -1,4 +1,4 @@
-"""Make run directories of files that other programs wrote, so that everything else can read them."""
+"""Make run directories from files of other programs, so that everything else can read them."""
 
 import re
 import shutil
@@ -36,9 +36,9 @@ def adopt(
 ) -> list[tuple[Path, tuple[str, ...]]]:
     """Import one file into `results`; returns each run directory made and what its format leaves out.
 
-    `called` is the run's name, by default that of the file; `given` is what the user says of its numbers. A log keeps
-    its name and is read as a log of its suite; other files become histograms or samples, one run a context. Raises
-    UsageError when the file is none that can be read or states otherwise than the user, or a run of that name exists.
+    `called` is the name of the run, by default the name of the file; `given` is what the user states about its numbers.
+    A log keeps its name and is read as a log of its suite; other files become histograms or samples, one run per
+    context. Raises UsageError when the file cannot be read or contradicts the user, or when a run of that name exists.
     """
     if printable(path.name) != path.name:
         raise UsageError(f"{printable(str(path))}: a name of plain text is needed, rename the file")
@@ -54,7 +54,7 @@ def adopt(
         given.check(path, unit_ns=1000, period_ns=period_of(log.parameters))
         record = _record(name, results, log.suite, log.parameters, [output], platform, path, identity)
         folder = _new(results, name)
-        # A log may have been renamed: under this name it is read as that log of the output.
+        # A log may have been renamed: this name makes it a log of the output.
         ending = endings.get(log.series, "")
         with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / f"{output}{ending}.log")

@@ -1,6 +1,7 @@
-"""The command line of cyclictest, which its JSON carries: what was asked of a measurement, read as getopt_long(3) does.
+"""The command line of cyclictest, as its JSON records it; its options are read as getopt_long(3) reads them.
 
-rt-tests joins the words with blanks and quotes none. Options of rt-tests 1.9, the first with JSON, to 2.10.
+rt-tests joins the words with blanks and quotes nothing. The options are those of rt-tests 1.9, the first version with
+JSON, to 2.10.
 """
 
 import re
@@ -16,10 +17,10 @@ from rtrun.plan.suites import Value
 from rtrun.results.importers.counts import words_in
 
 COMMAND_MAX = 4096
-"""Characters of a command line; rt-tests cuts it there."""
+"""Characters of a command line; rt-tests cuts it off there."""
 OPTIONS_MAX = 256
-"""Characters of the options that tell runs apart without being parameters of ours."""
-_MOST_BINS = 1_000_000  # no limit of ours: cyclictest takes more as this
+"""Characters of the options that distinguish runs but are not our parameters."""
+_MOST_BINS = 1_000_000  # cyclictest takes larger numbers as this one; it is not our limit
 
 _Takes = Literal["nothing", "value", "maybe"]
 
@@ -28,8 +29,8 @@ _Takes = Literal["nothing", "value", "maybe"]
 class _Option:
     """An option of cyclictest: its letter, whether it takes a value, and whether it is `telling`.
 
-    A telling option changes the measurement and is no parameter of ours. Threads and their CPUs are those that the file
-    states, whatever was asked for.
+    A telling option changes the measurement but is not one of our parameters. Threads and their CPUs are never telling:
+    the file itself states them.
     """
 
     name: str
@@ -46,7 +47,7 @@ _OPTIONS = (
     _Option("dbg_cyclictest", "", "nothing"),
     _Option("deepest-idle-state", "", "value", telling=True),
     _Option("default-system", "", "nothing", telling=True),
-    _Option("distance", "d", "value"),  # 0 with a histogram, whatever is asked for
+    _Option("distance", "d", "value"),  # 0 with a histogram, whatever was asked for
     _Option("duration", "D", "value"),
     _Option("fifo", "F", "value"),
     _Option("help", "", "nothing"),
@@ -84,12 +85,12 @@ _OPTIONS = (
 )
 _BY_NAME = {option.name: option for option in _OPTIONS}
 _BY_LETTER = {option.letter: option for option in _OPTIONS if option.letter}
-# What stands in a word of its own behind an option that may have a value.
+# Matches the next word if it is the value of an option whose value is optional.
 _VALUES = {"affinity": re.compile(r"[0-9!+a].*")}
 _NUMBER = re.compile(r"[+-]?0*[1-9].*")
 # As cyclictest compares them; any other word is SCHED_OTHER.
 _POLICIES = {"batch": "BATCH", "idle": "IDLE", "fifo": "FIFO", "rr": "RR"}
-# With one of these nothing keeps idle CPUs awake.
+# With any of these, nothing keeps idle CPUs awake.
 _SLEEPING = ("laptop", "default-system", "deepest-idle-state")
 
 
@@ -104,10 +105,10 @@ class Command:
     priority: int = 0
     cpu_dma_latency_us: int | None = 0
     options: str = ""
-    """What else changes the measurement: long names in order, and every word that no version knows."""
+    """What else changes the measurement: long names, sorted, and every word that no version knows."""
 
     def parameters(self, threads: int) -> dict[str, Value]:
-        """The parameters of a run of so many threads; cyclictest takes a priority by them where it is given none."""
+        """The parameters of a run of `threads` threads; cyclictest derives a priority from them where none is given."""
         parameters: dict[str, Value] = {
             "policy": self.policy,
             "interval_us": self.interval_us,
@@ -120,7 +121,7 @@ class Command:
 
 
 def read_command(path: Path, where: str, text: object) -> Command:
-    """What a command line asks for; of an option that is given twice the last one counts.
+    """Read a command line; of an option that is given twice, the last one counts.
 
     Raises UsageError ``file: where: what is wrong``.
     """
@@ -133,7 +134,7 @@ def read_command(path: Path, where: str, text: object) -> Command:
         if name is None:
             unknown.append(value)
         else:
-            given.pop(name, None)  # in the order of the last one of each
+            given.pop(name, None)  # keep the order of the last occurrences
             given[name] = value
     telling = [f"--{name}{value and '='}{value}" for name, value in sorted(given.items()) if _BY_NAME[name].telling]
     options = " ".join([*telling, *unknown])
@@ -156,7 +157,7 @@ def read_command(path: Path, where: str, text: object) -> Command:
 
 
 def _parse(words: Sequence[str]) -> Iterator[tuple[str | None, str]]:
-    """Yield the long name of each option with its value, "" without one, and None with a word that is none we know."""
+    """Yield the long name of each option with its value, "" without one; an unknown word has None for a name."""
     rest = [*words]
     while rest:
         word = rest.pop(0)
@@ -174,7 +175,7 @@ def _parse(words: Sequence[str]) -> Iterator[tuple[str | None, str]]:
 
 
 def _short(word: str, rest: list[str]) -> Iterator[tuple[str | None, str]]:
-    """Yield the options in a word as ``-qh400``."""
+    """Yield the options in a word like ``-qh400``."""
     for place, letter in enumerate(word[1:], start=2):
         option = _BY_LETTER.get(letter)
         if option is None:
@@ -187,7 +188,7 @@ def _short(word: str, rest: list[str]) -> Iterator[tuple[str | None, str]]:
 
 
 def _next(option: _Option, rest: list[str]) -> str:
-    """Take the value of an option that has it in the word behind."""
+    """Take the next word if it is the value of this option."""
     form = _VALUES.get(option.name, _NUMBER)
     if rest and (option.takes == "value" or (option.takes == "maybe" and form.fullmatch(rest[0]))):
         return rest.pop(0)
@@ -195,7 +196,7 @@ def _next(option: _Option, rest: list[str]) -> str:
 
 
 def _by_prefix(name: str) -> _Option | None:
-    """The option of this name, or the only one that begins so."""
+    """The option of this name, or the only option that begins with it."""
     starting = [option for option in _OPTIONS if option.name.startswith(name)]
     return _BY_NAME.get(name) or (starting[0] if len(starting) == 1 else None)
 
@@ -205,7 +206,7 @@ def _named(option: _Option) -> str:
 
 
 def _policy(given: dict[str, str]) -> str:
-    """The policy in effect: a priority, even of 0 unless a policy stands behind it, makes it FIFO."""
+    """The policy in effect: a priority makes it FIFO, even priority 0 unless a policy follows it."""
     asked = given.get("policy", "").lower()
     policy = next((name for start, name in _POLICIES.items() if asked.startswith(start)), "0")
     last = next((name for name in reversed(given) if name in ("policy", "priority")), "")
@@ -225,6 +226,6 @@ def _number(
 
 
 def _atoi(word: str) -> int:
-    """The number that a word begins with, as C reads it; 0 without one."""
+    """The number at the begin of a word, as C reads it; 0 without one."""
     match = re.match(r"[+-]?[0-9]{1,18}", word, re.ASCII)
     return int(match[0]) if match else 0

@@ -1,4 +1,4 @@
-"""What all the histogram formats share: counts of bins checked, plain JSON read with limits."""
+"""Shared by all histogram formats: checks of the bins' counts, and plain JSON read with limits."""
 
 import math
 import re
@@ -16,15 +16,15 @@ from rtrun.kinds.limits import COUNT_MAX
 
 NO_INTERVAL = "the interval"
 NO_ORDER = "the order of the measurements: bursts and trends cannot be seen"
-MAX_BINS = 1_000_000  # that hold a value, of all histograms in a file; cyclictest has at most as many
-_KEY = re.compile(r"0|[1-9][0-9]{0,14}", re.ASCII)  # as %u prints it: no two keys are one number
+MAX_BINS = 1_000_000  # with values, in all histograms of a file; cyclictest has at most as many
+_KEY = re.compile(r"0|[1-9][0-9]{0,14}", re.ASCII)  # as %u prints it: different keys are different numbers
 _NO_MEAN = re.compile(r'"avg"\s*:\s*-?nan\b')
 _NUMBERED = re.compile(r'"([0-9]{1,15})"\s*:\s*\{', re.ASCII)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StatedSummary:
-    """A number that a program printed of all values, None where it printed none, and the line or key it stands at."""
+    """A number that a program printed about all values, None where it printed none; and the line or key of it."""
 
     place: str
     value: float | None
@@ -32,9 +32,9 @@ class StatedSummary:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Statistics:
-    """What a program printed of all values, in the unit of its bins.
+    """The numbers that a program printed about all values, in the unit of its bins.
 
-    A mean without `decimals` was truncated, any other one was rounded.
+    A mean without `decimals` was truncated; otherwise it was rounded.
     """
 
     least: StatedSummary
@@ -46,7 +46,7 @@ class Statistics:
 def load(path: Path, text: str) -> dict[str, Any]:
     """The JSON object in a text. Raises UsageError naming the file."""
     if match := _NO_MEAN.search(text):
-        # A mean of no values divides zero by zero, and what C prints of that is no JSON.
+        # The mean of no values divides zero by zero, and C prints that as something that is not JSON.
         line = text.count("\n", 0, match.start()) + 1
         number = next((each[1] for each in reversed([*_NUMBERED.finditer(text, 0, match.start())])), "?")
         raise UsageError(
@@ -60,7 +60,7 @@ def load(path: Path, text: str) -> dict[str, Any]:
 
 
 def numbered(path: Path, where: str, data: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The members of a JSON object that holds one object for each thread or CPU, by its number, from 0 on."""
+    """The members of a JSON object that holds one object per thread or CPU, by its number, counted from 0."""
     for key, value in data.items():
         if not _KEY.fullmatch(key) or not isinstance(value, dict):
             raise UsageError(f"{path}: {where}.{key[:20]!r}: expected a number, and a mapping behind it")
@@ -70,7 +70,7 @@ def numbered(path: Path, where: str, data: dict[str, Any]) -> dict[str, dict[str
 
 
 def once(path: Path, lines: dict[str, int], name: str, number: int) -> None:
-    """Keep where a line stands that its program prints once. Raises UsageError for a second one, naming both."""
+    """Record the line of something that a program prints once. Raises UsageError for a second line, naming both."""
     if name in lines:
         raise UsageError(f"{path}:{number}: a second line {name}, the first one is line {lines[name]}")
     lines[name] = number
@@ -85,20 +85,20 @@ def numbers_in(path: Path, line: int, text: str) -> list[int]:
 
 
 def check_bins(path: Path, number: int) -> None:
-    """Refuse a file with more bins than it can have."""
+    """Refuse a file with too many bins."""
     if number > MAX_BINS:
         raise UsageError(f"{path}: more than {MAX_BINS} bins that hold a value")
 
 
 def whole(path: Path, where: str, value: object) -> int:
-    """A whole number from 0 on. Raises UsageError naming file and place."""
+    """A whole number, 0 or more. Raises UsageError naming file and place."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= COUNT_MAX:
         raise UsageError(f"{path}: {where}: expected a whole number from 0 to {COUNT_MAX}, got {str(value)[:40]!r}")
     return value
 
 
 def words_in(path: Path, where: str, value: object, *, most: int) -> str:
-    """A line of at most so many characters that can be shown. Raises UsageError naming file and place."""
+    """A printable line of at most `most` characters. Raises UsageError naming file and place."""
     if not isinstance(value, str) or len(value) > most or not value.isprintable():
         raise UsageError(
             f"{path}: {where}: expected one line of at most {most} printable characters, got {str(value)[:40]!r}"
@@ -107,7 +107,7 @@ def words_in(path: Path, where: str, value: object, *, most: int) -> str:
 
 
 def bins_of(path: Path, where: str, data: object, *, limit: int | None) -> dict[int, int]:
-    """Bins from a JSON mapping of value to count, all below `limit` where that is known."""
+    """Bins from a JSON mapping of value to count, all below `limit` where it is known."""
     if not isinstance(data, dict):
         raise UsageError(f"{path}: {where}: expected a mapping of value to count")
     check_bins(path, len(data))
@@ -146,10 +146,10 @@ def statistics_in(path: Path, where: str, data: Mapping[str, Any]) -> Statistics
 def check_statistics(
     bins: Mapping[int, int], printed: Statistics, *, width: int = 1, overflow: int, limit: int
 ) -> None:
-    """Refuse a smallest value, a mean and a largest value that contradict the bins.
+    """Refuse a minimum, mean or maximum that contradicts the bins.
 
-    `limit` is a lower bound of the `overflow` values that are only counted. Raises UsageError that starts with the
-    place of the number that is wrong.
+    `limit` is a lower bound of the `overflow` values, which are only counted. Raises UsageError that starts with the
+    place of the wrong number.
     """
     least, mean, most, decimals = printed.least, printed.mean, printed.most, printed.decimals
     filled = {value: count for value, count in sorted(bins.items()) if count}
@@ -172,7 +172,7 @@ def check_statistics(
         raise UsageError(f"{least.place}: a smallest value of {low}, but the largest one is {high}")
     if mean.value is None:
         return
-    # How small and how large each value can be; one of them is the smallest, and one the largest.
+    # How small and how large each value can be; one of them is the minimum, and one the maximum.
     groups: list[tuple[float, float, int]] = [(value, value + width - 1, count) for value, count in filled.items()]
     groups += [(limit, math.inf, overflow)] if overflow else []
     groups = [(max(first, low), min(last, high), count) for first, last, count in groups]
@@ -181,7 +181,7 @@ def check_statistics(
     smallest_sum += high - groups[-1][0] if most.value is not None else 0
     largest_sum -= groups[0][1] - low if least.value is not None and largest_sum < math.inf else 0
     half = 0.5 / 10**decimals if decimals else 0.0
-    slack = 1e-9 * max(1.0, mean.value)  # of floating point
+    slack = 1e-9 * max(1.0, mean.value)  # floating-point rounding
     from_mean = smallest_sum / n - half if decimals else smallest_sum // n
     if not from_mean - slack <= mean.value <= largest_sum / n + half + slack:
         allowed = f"{smallest_sum / n:.2f} to {largest_sum / n:.2f}"
@@ -191,9 +191,9 @@ def check_statistics(
 def histogram(
     bins: Mapping[int, int], printed: Statistics, *, unit_ns: int, width: int = 1, overflow: int, limit: int
 ) -> Histogram:
-    """A histogram from bins in units of `unit_ns`, each `width` units wide; no reader makes one unchecked.
+    """A histogram from bins in units of `unit_ns`, each `width` units wide; every reader makes it here, checked.
 
-    Raises UsageError where what was printed contradicts them, as `check_statistics` does.
+    Raises UsageError where the printed numbers contradict the bins, as `check_statistics` does.
     """
     check_statistics(bins, printed, width=width, overflow=overflow, limit=limit)
     most, mean = printed.most.value, printed.mean.value

@@ -43,7 +43,7 @@ _HELD = re.compile(r"# /dev/cpu_dma_latency set to ([0-9]{1,10})us", re.ASCII)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _TextFacts:
-    """What is known of all threads of a file, and a sentence for each thing that is not."""
+    """What is known of all threads of a file, and a sentence for each thing that is not known."""
 
     unit_ns: int
     parameters: dict[str, Value]
@@ -53,20 +53,20 @@ class _TextFacts:
 
 @dataclass(kw_only=True, slots=True)
 class _Text:
-    """The parts of a text, in whatever order they stand: a column of bins for each thread, and lines of the summary."""
+    """The parts of a text, in whatever order they came: a column of bins for each thread, and the summary lines."""
 
     columns: list[dict[int, int]] = field(default_factory=list)
     limit: int = 0  # one more than the last bin
     summary: dict[str, list[int]] = field(default_factory=dict)
-    lines: dict[str, int] = field(default_factory=dict)  # where each line of the summary stands
-    cycles: dict[int, int] = field(default_factory=dict)  # by thread: how many overflows are listed by their cycle
-    held_us: int | None = None  # the latency at which idle CPUs were kept awake, where a line tells that
+    lines: dict[str, int] = field(default_factory=dict)  # where each summary line stands
+    cycles: dict[int, int] = field(default_factory=dict)  # by thread: how many overflows are listed with their cycle
+    held_us: int | None = None  # the latency at which idle CPUs were kept awake, where a line states it
 
 
 def read_text(path: Path, text: str, *, command: str | None = None, unit_ns: int | None = None) -> tuple[Imported, ...]:
-    """One histogram a thread. `command` is the command line where the caller knows it; the text does not tell it.
+    """Read one histogram per thread. `command` is the command line, if known: the text does not state it.
 
-    `unit_ns` is the unit where the caller knows that alone. Raises UsageError ``file:line: what is wrong``.
+    `unit_ns` is the unit, for a caller that knows only that. Raises UsageError ``file:line: what is wrong``.
     """
     asked = None if command is None else read_command(path, "its command line", command)
     parts = _parts(path, text, asked.limit if asked else None)
@@ -81,7 +81,7 @@ def _of_command(command: Command, threads: int) -> _TextFacts:
 
 
 def _of_text(parts: _Text, threads: int, unit_ns: int | None) -> _TextFacts:
-    """What a text tells without its command line: a parameter that it does not tell is unknown, no default."""
+    """What a text states without its command line: a parameter that it does not state is unknown, not a default."""
     held: dict[str, Value] = {} if parts.held_us is None else {"cpu_dma_latency_us": parts.held_us}
     return _TextFacts(
         unit_ns=unit_ns or 1000,
@@ -91,13 +91,13 @@ def _of_text(parts: _Text, threads: int, unit_ns: int | None) -> _TextFacts:
 
 
 def _check_shape(path: Path, parts: _Text, threads: int) -> None:
-    """Refuse lines that disagree about the threads, and sums (of ``-H``, in a last column) that are none."""
+    """Refuse lines that disagree about the threads, and wrong sums (``-H`` adds them as a last column)."""
     widths = {name: len(values) for name, values in parts.summary.items()}
     columns = widths["Max Latencies"]
     if not parts.columns and "Total" not in parts.summary:  # since 2.9 empty rows are left out
         parts.columns = [{} for _ in range(columns)]
     if "Total" not in parts.summary and threads == columns == 1 and len(parts.columns) == 2:
-        # -H of one thread: since 2.9 its rows have a sum, the lines below them none.
+        # -H of one thread: since 2.9 its rows have a sum, but the lines below them do not.
         if parts.columns[0] != parts.columns[1]:
             raise UsageError(f"{path}:{parts.lines['Histogram']}: the last column is not the sum of the 1 threads")
         del parts.columns[1]
@@ -226,7 +226,7 @@ def _imported(
 
 
 def _cpus(path: Path, threads: Mapping[str, Mapping[str, Any]]) -> dict[str, Value]:
-    """The CPUs that the threads were bound to, "" for none; nothing where the file does not tell them."""
+    """The CPUs that the threads were bound to, "" for none; empty where the file does not state them."""
     cpus = [thread.get("cpu") for thread in threads.values()]
     if None in cpus:
         return {}
@@ -237,7 +237,7 @@ def _cpus(path: Path, threads: Mapping[str, Mapping[str, Any]]) -> dict[str, Val
 
 
 def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
-    """One histogram a thread; None when the file is not cyclictest's, or of one without ``-h``.
+    """Read one histogram per thread; None when the file is not from cyclictest, or was written without ``-h``.
 
     Raises UsageError naming file and key.
     """
@@ -271,7 +271,7 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
                 known,
                 statistics_in(path, where, thread),
                 overflow=overflow_of(path, f"{where}.cycles", thread.get("cycles"), bins),
-                # Without the option the last filled bin is where knowledge ends.
+                # Without the option, nothing is known beyond the last filled bin.
                 limit=max(bins, default=-1) + 1 if command.limit is None else command.limit,
             )
         )

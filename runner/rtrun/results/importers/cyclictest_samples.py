@@ -1,10 +1,10 @@
-"""Reader of the text of ``cyclictest -v``, which has every value in the order in which it was measured.
+"""Reader of the text of ``cyclictest -v``, which has every value in the order of measurement.
 
 Every 10 ms cyclictest prints what each thread has measured since, a line for each value: ``thread: counter: value``.
-The counter begins at 0 and rises by one. It stands still at a value of 0, which was once no new maximum. ``-o`` leaves
-values out, and the counter has gaps then. Nothing ends the text: that its end is missing is seen only where a line is
-cut off. ``-h`` adds a histogram of all values, also of those that were measured after the last line. The interval is
-not known: ``Thread 0 Interval:`` names that of the next thread.
+The counter begins at 0 and rises by one. It does not rise at a value of 0, which once was not a new maximum. ``-o``
+leaves values out, which makes gaps in the counter. No line marks the end of the text: a missing end is noticed only
+where it cuts a line. ``-h`` adds a histogram of all values, including those measured after the last line. The interval
+is not known: ``Thread 0 Interval:`` states that of the next thread.
 """
 
 import re
@@ -27,35 +27,35 @@ from rtrun.results.importers.counts import NO_INTERVAL
 from rtrun.results.importers.cyclictest import NO_OPTIONS, NO_UNIT, read_text
 from rtrun.results.importers.samples_file import ImportedSamples
 
-LINES_MAX = 20_000_000  # a value each, which takes 8 bytes of memory
+LINES_MAX = 20_000_000  # a value each, 8 bytes in memory
 _HISTOGRAM_BYTES_MAX = 16 * MIB
 _BEGINNING = 65_536
-_SAMPLE = re.compile(  # with --smi, a number of interrupts behind it
+_SAMPLE = re.compile(  # --smi adds a number of interrupts
     rb"[ \t]*([0-9]{1,5}):[ \t]*([0-9]{1,12}):[ \t]*([0-9]{1,15})(?:[ \t]+[0-9]{1,12})?[ \t]*\r?\n", re.ASCII
 )
 _ANNOUNCED = re.compile(rb"Thread ([0-9]{1,5}) Interval: [0-9]{1,9}[ \t]*\r?\n", re.ASCII)
 _UNIT_NS = 1000
-# Values wait in a ring of this size to be printed. Whoever reads them too slowly gets newer ones in their place.
+# Values wait in a ring of this size to be printed. If they are read too slowly, newer values overwrite them.
 _RING = 16_384
-_REPEATED = 512  # that so many values repeat by chance is out of the question, unless they hardly differ
+_REPEATED = 512  # so many values do not repeat by chance, unless they hardly differ
 
 
 @dataclass(kw_only=True, slots=True)
 class _Thread:
-    """The values of a thread, and what its next line must have for a counter where its value is 0."""
+    """The values of a thread, and the counter that its next line must have if its value is 0."""
 
     values: "array[int]" = field(default_factory=lambda: array("q"))
     shown: int = 0
 
 
 def has_samples(path: Path) -> bool:
-    """Whether a file begins as a text of ``cyclictest -v``. Raises UsageError for what is no regular file."""
+    """Whether a file begins like the text of ``cyclictest -v``. Raises UsageError for anything but a regular file."""
     lines = read_beginning(path, max_bytes=_BEGINNING).split(b"\n")[:-1]
     return any(_SAMPLE.fullmatch(line + b"\n") for line in lines)
 
 
 def read_samples(path: Path, *, unit_ns: int | None = None) -> tuple[ImportedSamples, ...]:
-    """The values of each thread; `unit_ns` is the unit where the caller knows it.
+    """Read the values of each thread; `unit_ns` is the unit, if the caller knows it.
 
     Raises UsageError ``file:line: what is wrong``.
     """
@@ -89,7 +89,7 @@ def read_samples(path: Path, *, unit_ns: int | None = None) -> tuple[ImportedSam
 
 
 def _keep(threads: dict[int, _Thread], number: int, counter: int, value: int, unit_ns: int) -> str:
-    """Keep a value, or say what is wrong with it."""
+    """Keep a value, or return what is wrong with it."""
     thread = threads.get(number)
     if thread is None:
         if number >= CPUS_MAX:
@@ -128,10 +128,10 @@ def _samples(path: Path, number: int, thread: _Thread, unit_ns: int | None) -> I
 
 
 def _overwritten(values: Int64s) -> int | None:
-    """The first value in whose place a newer one was printed, or None: each then equals the one of a ring later.
+    """The index of the first value that a newer one overwrote before it was printed, or None.
 
-    Values that are nearly all the same, or that have a period, do so by themselves; they can be compressed to less than
-    a bit each.
+    Such values equal those that come one ring later. Values that are nearly constant or periodic do too, without being
+    overwritten; these compress to less than a bit each.
     """
     differ = np.flatnonzero(values[:-_RING] != values[_RING:])
     edges = np.concatenate(([-1], differ, [max(0, values.size - _RING)]))
@@ -143,7 +143,7 @@ def _overwritten(values: Int64s) -> int | None:
 
 
 def _rest(path: Path, number: int, line: bytes, lines: Iterator[bytes]) -> str:
-    """What begins with a line, as the text of a histogram whose lines have the numbers that they have in the file."""
+    """The rest of the file from `line` on, as a text of a histogram; its lines keep their numbers."""
     kept, size = [b"\n" * (number - 1)], 0
     for each in chain([line], lines):
         size += len(each)
@@ -154,7 +154,7 @@ def _rest(path: Path, number: int, line: bytes, lines: Iterator[bytes]) -> str:
 
 
 def _check_histograms(path: Path, samples: tuple[ImportedSamples, ...], text: str, unit_ns: int | None) -> None:
-    """Refuse samples that the histogram of the same values does not hold."""
+    """Refuse samples that do not fit into the histogram of the same values."""
     histograms = read_text(path, text, unit_ns=unit_ns)
     if len(histograms) != len(samples):
         raise UsageError(f"{path}: values of {len(samples)} threads, but a histogram of {len(histograms)}")
@@ -164,7 +164,7 @@ def _check_histograms(path: Path, samples: tuple[ImportedSamples, ...], text: st
 
 
 def _beyond(values_ns: Int64s, histogram: Histogram) -> int | None:
-    """A value in ns that stands more often among the samples than in the histogram, or None."""
+    """A value in ns that occurs more often among the samples than in the histogram, or None."""
     values, counts = np.unique(values_ns, return_counts=True)
     inside = dict(zip(histogram.values_ns.tolist(), histogram.counts.tolist(), strict=True))
     left = histogram.overflow

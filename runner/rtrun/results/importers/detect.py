@@ -1,4 +1,4 @@
-"""Which program wrote a file, from its beginning; and the histograms or samples in it."""
+"""Find out which program wrote a file, from its beginning, and read the histograms or samples in it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,9 +19,9 @@ READS = (
 
 
 def read(path: Path, given: Given = NOTHING_GIVEN) -> Sequence[Imported | ImportedSamples]:
-    """The histograms in a file of another program, or the samples in one of cyclictest -v, one a thread.
+    """Read the histograms in a file of another program, or the samples of cyclictest -v, one per thread.
 
-    `given` is what the user says of it. Raises UsageError ``file[:line]: what is wrong``.
+    `given` is what the user states about the file. Raises UsageError ``file[:line]: what is wrong``.
     """
     return tuple(given.complete(path, one) for one in _read(path, given))
 

@@ -1,4 +1,4 @@
-"""What the user says of a file that does not state it: the unit of its numbers, and the interval."""
+"""What the user states where the file does not: the unit of its numbers, and the interval."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,13 +16,13 @@ UNITS_NS = {"ns": 1, "us": 1000}
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Given:
-    """The unit in ns and the interval in us that options name; None: no option does."""
+    """The unit in ns and the interval in us, from the options; None where the option is not given."""
 
     unit_ns: int | None = None
     interval_us: int | None = None
 
     def check(self, path: Path, *, unit_ns: int | None, period_ns: float | None) -> None:
-        """Refuse what a file states otherwise; None: it states nothing. Raises UsageError that names both values."""
+        """Refuse a file that states other values; None: it states none. Raises UsageError that names both values."""
         if self.unit_ns and unit_ns and self.unit_ns != unit_ns:
             raise UsageError(f"{path}: its values are in {_unit(unit_ns)}, but --unit says {_unit(self.unit_ns)}")
         if self.interval_us and period_ns and 1000 * self.interval_us != period_ns:
@@ -30,7 +30,7 @@ class Given:
             raise UsageError(f"{path}: its interval is {stated}, but --interval says {given}")
 
     def complete(self, path: Path, one: ImportedT) -> ImportedT:
-        """It, with the interval where its file does not state that. Raises UsageError as `check` does."""
+        """Return `one`, with the interval where its file does not state it. Raises UsageError as `check` does."""
         self.check(path, unit_ns=one.unit_ns, period_ns=one.period_ns)
         if self.interval_us is None or one.period_ns is not None:
             return one

@@ -47,11 +47,11 @@ class _File(Config):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Imported:
-    """One thread's histogram; ``name`` tells the threads of one file apart.
+    """One thread's histogram; ``name`` distinguishes the threads of a file.
 
-    ``left_out`` says, a sentence each, what the format does not tell; ``parameters`` are those it does, and none that
-    it does not. ``unit_ns`` is the unit of the file's numbers; None: its format names it. ``undecidable``
-    says why no answer can rest on the values, "" where one can.
+    ``left_out`` has a sentence for each thing that the format does not state; ``parameters`` are only those that it
+    states. ``unit_ns`` is the unit of the file's numbers; None: its format defines it. ``undecidable`` is the reason
+    why no answer can rest on the values, "" where one can.
     """
 
     source: str
@@ -66,7 +66,7 @@ class Imported:
 
 
 def histogram_text(imported: Imported) -> str:
-    """The file's text; the same histogram gives the same bytes. Raises UsageError for one that cannot be read back."""
+    """The text of the file; the same histogram gives the same bytes. Raises UsageError if it could not be read back."""
     bins = imported.histogram
     data = {
         "schema": 1,
@@ -87,7 +87,7 @@ def histogram_text(imported: Imported) -> str:
 
 
 def read_histogram(path: Path) -> Imported:
-    """Read it back. Raises UsageError that names the file and what is wrong in it."""
+    """Read such a file. Raises UsageError that names the file and what is wrong in it."""
     file = read_json(path, _File, max_bytes=MAX_BYTES, max_items=2 * MAX_BINS + 1000)
     return Imported(
         source=file.source,

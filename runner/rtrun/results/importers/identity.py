@@ -1,4 +1,4 @@
-"""On which board, kernel and boot a file of another program was measured, and when: as the user and the file say."""
+"""The board, kernel, boot and time of another program's file, as the user and the file state them."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -13,13 +13,13 @@ from rtrun.results.record import UNKNOWN, TargetFacts, moment
 
 _FIELD = re.compile(r"\{([^{}]*)\}")
 _DATE = r"[0-9]{4}-?[0-9]{2}-?[0-9]{2}"
-# Any other field may have the characters that stand between fields: a kernel is 6.6.30-rt30.
+# Any other field may contain the characters that separate fields: a kernel is 6.6.30-rt30.
 _FORMS = {"start": rf"{_DATE}(?:[T ][0-9:.]+(?:Z|[+-][0-9:]+)?)?"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Identity:
-    """Where and when a file was measured; "" where that is not known. `start` is an ISO 8601 time."""
+    """Where and when a file was measured; "" where it is not known. `start` is an ISO 8601 time."""
 
     board: str = ""
     kernel: str = ""
@@ -28,7 +28,7 @@ class Identity:
 
     @property
     def start_time(self) -> str:
-        """The begin of the run as run.json has it. Raises UsageError for what is no time."""
+        """The begin of the run as run.json has it. Raises UsageError for a text that is not a time."""
         if not self.start:
             return UNKNOWN
         try:
@@ -45,23 +45,23 @@ FIELDS = tuple(field.name for field in fields(Identity))
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NamePattern:
-    """What reads fields from file names: ``{board}-{kernel}-{start}.txt``, and with folders ``{board}/{start}.txt``.
+    """Reads fields from file names: ``{board}-{kernel}-{start}.txt``, or with folders ``{board}/{start}.txt``.
 
-    It is of the whole name, and of as many folders above as it has. A field is as short as it can be.
+    It must match the whole name, and as many folders above it as it has itself. A field is as short as possible.
     """
 
     text: str
     form: re.Pattern[str]
 
     def read(self, path: Path) -> Mapping[str, str]:
-        """The fields of a file. Raises UsageError for a name that does not match."""
+        """The fields in a file's name. Raises UsageError for a name that does not match."""
         match = self.form.fullmatch("/".join(self._parts(path)))
         if match is None:
             raise UsageError(f"{path}: its name is not {self.text}, as --names says")
         return match.groupdict()
 
     def name_of(self, path: Path) -> str:
-        """What the run of a file is called: files of different folders may have one name."""
+        """The name of a file's run, with its folders: files in different folders may share a name."""
         return "-".join([*self._parts(path)[:-1], path.stem])
 
     def _parts(self, path: Path) -> Sequence[str]:
@@ -69,7 +69,7 @@ class NamePattern:
 
 
 def read_pattern(pattern: str) -> NamePattern:
-    """The pattern of a text. Raises UsageError for an unknown field, or one that stands twice."""
+    """Read a pattern. Raises UsageError for an unknown field, or one that occurs twice."""
     names = _FIELD.findall(pattern)
     for name in names:
         if name not in FIELDS or names.count(name) > 1:
@@ -83,10 +83,10 @@ def read_pattern(pattern: str) -> NamePattern:
 
 
 def target_facts(identity: Identity, path: Path, origin: FileOrigin = NOWHERE) -> TargetFacts:
-    """The target of an imported file. Files of an unknown board are of one board only if they lie in one folder.
+    """The target of an imported file. Files of an unknown board share a board only if they lie in one folder.
 
-    They name one host then, too; that alone makes no board, as many are called localhost or raspberrypi. Raises
-    UsageError for a kernel that is not the one that the file states.
+    They must then also name one host; a host alone does not identify a board, as many are called localhost or
+    raspberrypi. Raises UsageError for a kernel that is not the one that the file states.
     """
     folder = path.resolve().parent
     unknown = f"{origin.host or UNKNOWN} ({folder.name}, {sha256(bytes(folder)).hexdigest()[:8]})"
@@ -106,7 +106,7 @@ def target_facts(identity: Identity, path: Path, origin: FileOrigin = NOWHERE) -
 
 
 def times(identity: Identity, path: Path, origin: FileOrigin) -> tuple[str, str]:
-    """Begin and end of the run, as run.json has them: those that the file states, else the begin that the user names.
+    """Begin and end of the run, as run.json has them: as the file states, else the begin that the user names.
 
     Raises UsageError for a begin on another day than the file states.
     """

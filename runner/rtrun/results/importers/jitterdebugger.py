@@ -17,16 +17,16 @@ from rtrun.results.importers.counts import (
 from rtrun.results.importers.histogram_file import Imported
 from rtrun.results.importers.origin import read_origin
 
-_BINS = {1000: 1000, 1: 1_000_000}  # by the resolution: its histogram ends at a millisecond
+_BINS = {1000: 1000, 1: 1_000_000}  # by resolution: the histogram ends at a millisecond
 
 
 def read_results(path: Path, text: str) -> tuple[Imported, ...]:
-    """One histogram a CPU. Raises UsageError naming file and place."""
+    """Read one histogram per CPU. Raises UsageError naming file and place."""
     data = load(path, text)
     cpus, system = data.get("cpu"), data.get("sysinfo")
     if not isinstance(cpus, dict) or not cpus:
         raise UsageError(f"{path}: neither cyclictest's (cmdline, thread) nor jitterdebugger's (cpu) results")
-    # Version 2 of the file added sysinfo, version 3 the resolution; the first one has no number.
+    # Version 2 of the file added sysinfo, version 3 the resolution; version 1 has no version number.
     version = whole(path, "version", data.get("version", 1))
     told = system if isinstance(system, dict) else {}
     resolution = whole(path, "sysinfo.resolution_in_ns", told.get("resolution_in_ns", 1000 if version < 3 else None))

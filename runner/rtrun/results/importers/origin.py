@@ -1,4 +1,4 @@
-"""What the JSON of rt-tests and jitterdebugger says of its measurement: host, kernel, times, and how it ended."""
+"""What the JSON of rt-tests and jitterdebugger states about its measurement: host, kernel, times, and how it ended."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -11,13 +11,13 @@ from rtrun.results.record import moment
 from rtrun.targets.inspection.facts import TargetState, is_preempt_rt
 
 UTSNAME_MAX = 64
-"""Characters of a text of uname(2), and of a time."""
+"""Characters of a uname(2) text, and of a time."""
 _TIME = "%a, %d %b %Y %H:%M:%S %z"  # Thu, 26 Nov 2026 11:18:02 +0000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FileOrigin:
-    """What a file states of where and when it was measured; None: nothing."""
+    """What a file states about where and when it was measured; None where it states nothing."""
 
     host: str | None = None
     kernel_release: str | None = None
@@ -27,21 +27,21 @@ class FileOrigin:
     start: datetime | None = None
     end: datetime | None = None
     failure: str | None = None
-    """How its program failed; None: it did not, or the file does not tell."""
+    """How its program failed; None: it did not fail, or the file does not state it."""
 
 
 NOWHERE = FileOrigin()
 
 
 def read_origin(path: Path, data: dict[str, Any]) -> FileOrigin:
-    """The origin in a JSON object. Raises UsageError ``file: key: what is wrong``."""
+    """Read the origin from a JSON object. Raises UsageError ``file: key: what is wrong``."""
     system = data.get("sysinfo", {})
     if not isinstance(system, dict):
         raise UsageError(f"{path}: sysinfo: expected a mapping")
     version, realtime = _text(path, system, "version"), system.get("realtime")
     if realtime is not None and (isinstance(realtime, bool) or realtime not in (0, 1)):
         raise UsageError(f"{path}: sysinfo.realtime: expected 0 or 1, got {str(realtime)[:40]!r}")
-    # Mainline's PREEMPT_RT has no /sys/kernel/realtime: its 0 alone tells nothing.
+    # Mainline's PREEMPT_RT has no /sys/kernel/realtime, so a 0 proves nothing.
     state = TargetState(kernel_version=version, realtime=None if realtime is None else str(realtime))
     status = data.get("return_code", 0)
     if isinstance(status, bool) or not isinstance(status, int):

@@ -1,8 +1,9 @@
 """Reader of rteval's ``summary.xml``: the histogram of each CPU that cyclictest measured (rteval 2.0 to 3.11).
 
-Written from the code of rteval, which makes it of what ``cyclictest -h`` prints. The median is not checked: versions
-before 3.8 print a wrong one. Values beyond the last bucket are left out, and how many they are; since 3.3 rteval writes
-no histograms then, before it says nothing. Its histograms of timerlat add up interrupt, thread and user.
+Written from the code of rteval, which builds the file from the output of ``cyclictest -h``. The median is not checked:
+versions before 3.8 print a wrong one. Values beyond the last bucket are left out, and so is their number; in that case
+rteval writes no histograms since 3.3, and does not mention it before. Its histograms of timerlat add up interrupt,
+thread and user.
 """
 
 import re
@@ -29,8 +30,8 @@ _KNOWS_OVERFLOW = (3, 3)
 _STATED = (
     "minimum", "maximum", "mean", "mode", "range", "mean_absolute_deviation", "standard_deviation", "nbuckets",
 )  # fmt: skip
-_DECIMALS = 9  # of twelve digits at least
-_ALIKE = 1e-9  # of numbers that were computed of the same counts in another order
+_DECIMALS = 9  # of at least twelve digits
+_ALIKE = 1e-9  # for numbers computed from the same counts in another order
 _MORE_BUCKETS = "measure with more: rteval --cyclictest-buckets"
 _NO_CYCLICTEST = (
     "no values of cyclictest. rteval's values of timerlat are not read: it adds up interrupt, thread and user, and"
@@ -40,13 +41,13 @@ _NO_CYCLICTEST = (
 
 @dataclass(kw_only=True, slots=True)
 class _ReportPart:
-    """What is stated of one CPU, or of the system: their sum; and the line each stands at."""
+    """What the report states about one CPU, or about the system (their sum), and the line of each number."""
 
     bins: dict[int, int] = field(default_factory=dict)
     stated: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def number(self, path: Path, name: str) -> float:
-        """A number that is stated. Raises UsageError naming the line."""
+        """A number from the report. Raises UsageError naming the line."""
         line, text = self.stated[name]
         try:
             return real_number(text, lowest=0, highest=COUNT_MAX)
@@ -54,7 +55,7 @@ class _ReportPart:
             raise UsageError(f"{path}:{line}: {name}: {error}") from error
 
     def whole(self, path: Path, name: str) -> int:
-        """A whole number that is stated. Raises UsageError naming the line."""
+        """A whole number from the report. Raises UsageError naming the line."""
         line, text = self.stated[name]
         return _whole(f"{path}:{line}: {name}", text)
 
@@ -70,11 +71,11 @@ class _Report:
     command: str | None = None
     threshold_us: int | None = None
     current: _ReportPart = field(default_factory=_ReportPart)
-    parts: dict[str, _ReportPart] = field(default_factory=dict)  # by the number of the CPU, and "system"
+    parts: dict[str, _ReportPart] = field(default_factory=dict)  # by CPU number, and "system"
     bins: int = 0
 
     def take(self, element: XmlElement) -> None:
-        """Keep what an element states; those within it were taken before it."""
+        """Keep what an element states; the elements within it were taken before it."""
         if element.path == ("rteval",):
             self.version = element.attributes.get("version", "")
         tool = next((each for each in (_TOOL, _OLD_TOOL) if element.path[: len(each)] == each), None)
@@ -90,7 +91,7 @@ class _Report:
                 index, count = (_whole(f"{place}: {name}", element.attributes.get(name)) for name in ("index", "value"))
                 self.bins += 1
                 check_bins(self.path, self.bins)
-                if count:  # the first versions of rteval 2 print empty ones, too
+                if count:  # the first versions of rteval 2 also print empty ones
                     _keep_once(place, self.current.bins, index, count)
             case ("core" | "system", "histogram"):
                 _keep_once(
@@ -123,12 +124,12 @@ def _keep_once(place: str, kept: dict[Any, Any], key: str | int, value: object) 
 
 
 def is_report(text: str) -> bool:
-    """Whether a text begins as a report of rteval."""
+    """Whether a text begins like a report of rteval."""
     return _ROOT.search(text[:_BEGINNING]) is not None
 
 
 def read_report(path: Path, text: str) -> tuple[Imported, ...]:
-    """One histogram a CPU. Raises UsageError ``file:line: what is wrong``."""
+    """Read one histogram per CPU. Raises UsageError ``file:line: what is wrong``."""
     report = _Report(path=path)
     parse_xml(text, str(path), report.take)
     if report.command is None:
@@ -176,7 +177,7 @@ def _cpu(
 
 
 def _checked(path: Path, part: _ReportPart, command: Command) -> Statistics:
-    """What a part states of all its values, where that agrees with its buckets. Raises UsageError."""
+    """What a part states about all its values, checked against its buckets. Raises UsageError."""
     kind = "core" if "core" in part.stated else "system"
     n = sum(part.bins.values())
     for name in ("samples", *(_STATED if n else ())):
@@ -196,7 +197,7 @@ def _checked(path: Path, part: _ReportPart, command: Command) -> Statistics:
             f"{part.place(path, 'maximum')}: a value of {beyond} us, but the histogram ends below {command.limit}: how"
             f" many values are beyond is not stated; {_MORE_BUCKETS}"
         )
-    if n > 1:  # of one value rteval computes nothing
+    if n > 1:  # rteval computes nothing from one value
         for name, expected in _computed(part.bins).items():
             if abs((stated := part.number(path, name)) - expected) > _ALIKE * max(1.0, expected):
                 raise UsageError(f"{part.place(path, name)}: {stated:g}, but the buckets give {expected:g}")
@@ -209,7 +210,7 @@ def _checked(path: Path, part: _ReportPart, command: Command) -> Statistics:
 
 
 def _computed(bins: Mapping[int, int]) -> dict[str, float]:
-    """What rteval computes of buckets, besides the mean and the median, by the name that it gives it."""
+    """What rteval computes from buckets, except the mean and the median, by rteval's names."""
     values, counts = (np.array(each, dtype=np.float64) for each in (list(bins), list(bins.values())))
     n = float(counts.sum())
     mean = float((values * counts).sum()) / n

@@ -1,4 +1,4 @@
-"""``<output>.samples.npy`` and ``.json``: values in order from another program, and what its format left out."""
+"""``<output>.samples.npy`` and ``.json``: another program's values in order, and what its format left out."""
 
 import json
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class ImportedSamples:
 
 
 def write_samples(folder: Path, imported: ImportedSamples) -> None:
-    """Write both files; the same samples give the same bytes. Raises UsageError for some that cannot be read back."""
+    """Write both files; the same samples give the same bytes. Raises UsageError if they could not be read back."""
     data = {
         "schema": 1,
         "source": imported.source,
@@ -56,7 +56,7 @@ def write_samples(folder: Path, imported: ImportedSamples) -> None:
 
 
 def read_imported_samples(path: Path) -> ImportedSamples:
-    """Read them back by the json; its values are mapped. Raises UsageError that names the file and what is wrong."""
+    """Read the files by their json, mapping the values. Raises UsageError that names the file and what is wrong."""
     file = read_json(path, _SamplesFile)
     name = path.name.removesuffix(ENDING)
     rows_path = path.with_name(f"{name}{ROWS_ENDING}")

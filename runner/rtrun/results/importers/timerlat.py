@@ -31,7 +31,7 @@ _NUMBER = re.compile(r"[0-9]{1,15}", re.ASCII)
 
 @dataclass(kw_only=True, slots=True)
 class _TimerlatText:
-    """The parts of a text: bins and a summary for each column, and newer ones have a summary of all CPUs."""
+    """The parts of a text: bins and a summary for each column; newer versions add a summary of all CPUs."""
 
     unit_ns: int = 1000
     columns: list[str] = field(default_factory=list)
@@ -39,15 +39,15 @@ class _TimerlatText:
     summary: dict[str, list[int | None]] = field(default_factory=dict)
     contexts: list[str] | None = None  # the columns of the summary of all CPUs
     of_all: dict[str, list[int | None]] = field(default_factory=dict)
-    lines: dict[str, int] = field(default_factory=dict)  # where each line but those of the bins stands
+    lines: dict[str, int] = field(default_factory=dict)  # where each line stands, except those of the bins
 
 
 def read_text(path: Path, text: str) -> tuple[Imported, ...]:
-    """One histogram a column (a context on a CPU). Raises UsageError ``file:line: what is wrong``."""
+    """Read one histogram per column (a context on a CPU). Raises UsageError ``file:line: what is wrong``."""
     parts = _parts(path, text)
-    # The bucket size (-b) is not printed: it divides every index.
+    # The bucket size (-b) is not printed, but every index is a multiple of it.
     width = reduce(math.gcd, (value for value, _ in parts.rows), 0)
-    if not width:  # only the first bucket is filled: it holds at least every largest value that is not over
+    if not width:  # only the first bucket is filled: it holds every maximum of a column without overflow
         inside = zip(parts.summary["max:"], parts.summary["over:"], strict=True)
         width = 1 + max((most or 0 for most, over in inside if not over), default=0)
     columns = tuple(_column(path, parts, k, width) for k in range(len(parts.columns)))
@@ -99,7 +99,7 @@ def _parts(path: Path, text: str) -> _TimerlatText:
 
 
 def _summarise(path: Path, parts: _TimerlatText, number: int, words: Sequence[str]) -> None:
-    """Keep a line of the summary, of each column or below ``ALL:``."""
+    """Keep a summary line, of the columns or below ``ALL:``."""
     values = [int(word) if _NUMBER.fullmatch(word) else None for word in words[1:]]
     if parts.contexts is None:
         once(path, parts.lines, words[0], number)
@@ -117,7 +117,7 @@ def _expect(path: Path, line: int, count: int, columns: int) -> None:
 
 
 def _check_of_all(path: Path, parts: _TimerlatText, k: int, context: str) -> None:
-    """Refuse a summary of all CPUs that is not the one of their columns."""
+    """Refuse a summary of all CPUs that does not match their columns."""
     of_cpus = [column for column, name in enumerate(parts.columns) if name.startswith(context)]
     counts = [_whole(path, parts, "count:", column) for column in of_cpus]
     n = sum(counts)
@@ -128,7 +128,7 @@ def _check_of_all(path: Path, parts: _TimerlatText, k: int, context: str) -> Non
             for name in ("min:", "avg:", "max:")
         )
         counts = [count for count in counts if count]
-        # Each mean was truncated: the sum behind it may be higher by as much as its count - 1.
+        # Each mean was truncated: the true sum may be higher by up to count - 1.
         total = sum(each * count for each, count in zip(mean, counts, strict=True))
         allowed |= {
             "min:": (min(least), min(least)),
@@ -165,7 +165,7 @@ def _column(path: Path, parts: _TimerlatText, k: int, width: int) -> Imported:
             unit_ns=parts.unit_ns,
             width=width,
             overflow=over,
-            # The bucket size may be smaller than the width: all that is known is that they lie beyond the last row.
+            # The bucket size may be smaller than the width, so it is only known that they lie beyond the last row.
             limit=parts.rows[-1][0] + 1 if parts.rows else 0,
         ),
         period_ns=None,
@@ -176,7 +176,7 @@ def _column(path: Path, parts: _TimerlatText, k: int, width: int) -> Imported:
 
 
 def _printed(path: Path, parts: _TimerlatText, name: str, k: int) -> StatedSummary:
-    """A number of a column; where nothing was measured it is a ``-``, or whatever older versions print."""
+    """A number of a column; where nothing was measured, the text has a ``-``, or something else in older versions."""
     value = _whole(path, parts, name, k) if parts.summary["count:"][k] else None
     return StatedSummary(place=f"{path}:{parts.lines[name]}: {parts.columns[k]}", value=value)
 

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-# A sign stands near the beginning of a file.
+# Signs are searched for only near the beginning of a file.
 _BEGINNING = 65_536
 
 _HISTOGRAM = "Measure with a histogram: cyclictest -q -h 1000 > FILE, or cyclictest -q -h 1000 --json=FILE"
@@ -106,6 +106,6 @@ KINDS = (
 
 
 def recognise(text: str) -> Unreadable | None:
-    """Which program wrote a text that no importer reads, None where its beginning shows none of them."""
+    """Return which program wrote a text that no importer reads; None where its beginning has no known sign."""
     beginning = text[:_BEGINNING]
     return next((kind for kind in KINDS if kind.sign.search(beginning)), None)

@@ -1,9 +1,9 @@
-"""What a program is made for, by its ELF header (elf(5))."""
+"""The architecture that a program is made for, by its ELF header (elf(5))."""
 
 from pathlib import Path
 
 HEADER_BYTES = 20
-# e_machine in <elf.h>, of what Linux boards are.
+# e_machine in <elf.h>, for the architectures of Linux boards.
 _MACHINES = {3: "x86", 8: "MIPS", 20: "PowerPC", 21: "PowerPC", 40: "ARM", 62: "x86", 183: "ARM", 243: "RISC-V"}
 
 

@@ -1,8 +1,8 @@
-"""What control groups let a program have of a CPU: read from cgroups.sh.
+"""How much CPU time control groups let a program have: read from cgroups.sh.
 
-A group of version 1 limits real-time threads (cpu.rt_runtime_us, kernels with CONFIG_RT_GROUP_SCHED) and, apart from
-that, threads of policy OTHER (cpu.cfs_quota_us); one of version 2 the latter (cpu.max). Documentation/scheduler/
-sched-rt-group.rst and sched-bwc.rst.
+A group of version 1 limits real-time threads (cpu.rt_runtime_us, kernels with CONFIG_RT_GROUP_SCHED) and, separately,
+threads of policy OTHER (cpu.cfs_quota_us). A group of version 2 limits only the latter (cpu.max).
+See Documentation/scheduler/sched-rt-group.rst and sched-bwc.rst.
 """
 
 import re
@@ -20,7 +20,7 @@ SCRIPT = ON_TARGET / "cgroups.sh"
 # Groups are no deeper than folders: PATH_MAX.
 PATH_MAX = 4096
 GROUPS_MAX = 256
-# sched_rt_period_us, unless somebody has changed it, and what of it real-time threads may have by default.
+# The default of sched_rt_period_us, and how much of it real-time threads may have by default.
 KERNEL_PERIOD_US, KERNEL_RUNTIME_US = 1_000_000, 950_000
 _NANOSECONDS = {"throttled_time": 1, "throttled_usec": 1000}
 _FIELDS = {
@@ -32,7 +32,7 @@ _FIELDS = {
 
 
 class Throttling(Config):
-    """Counts of cpu.stat since the group was made: periods, those in which the quota was used up, and for how long."""
+    """Counts of cpu.stat since the group was made: all periods, those that used up the quota, and throttled time."""
 
     periods: Count
     throttled: Count
@@ -49,7 +49,7 @@ class ControlGroup(Config):
     quota_us: QuotaUs | None = None
     quota_period_us: PeriodUs | None = None
     before: Throttling | None = None
-    """Before the program was started."""
+    """The counts before the program was started."""
     after: Throttling | None = None
 
     @property
@@ -64,7 +64,7 @@ class ControlGroup(Config):
         )
 
     def rt_limit(self, kernel_us: int = KERNEL_RUNTIME_US) -> str | None:
-        """Its limit for real-time threads where that is lower than the whole kernel's, with its unit."""
+        """Its limit for real-time threads, with its unit, if that is lower than the limit of the whole kernel."""
         if self.rt_runtime_us is None or self.rt_runtime_us < 0 or self.rt_period_us is None:
             return None
         if kernel_us >= 0 and self.rt_runtime_us * KERNEL_PERIOD_US >= kernel_us * self.rt_period_us:
@@ -80,7 +80,7 @@ class ControlGroup(Config):
 
 
 def parse(text: str) -> list[ControlGroup]:
-    """Read the output of cgroups.sh. A group that is not as the kernel could say it is left out."""
+    """Read the output of cgroups.sh. A group that the kernel could not report like this is left out."""
     groups = []
     for block in re.split(r"^group ", text, flags=re.MULTILINE)[1 : GROUPS_MAX + 1]:
         head, *lines = block.splitlines()
@@ -124,5 +124,5 @@ def _limits(lines: Sequence[str]) -> dict[str, Any]:
 
 
 def limits_of(groups: Iterable[ControlGroup], kernel_us: int = KERNEL_RUNTIME_US) -> list[str]:
-    """The limits of groups, a line each: group, file, value and unit."""
+    """The limits of groups, one line each: group, file, value and unit."""
     return [f"{one.path}: {limit}" for one in groups for limit in (one.rt_limit(kernel_us), one.quota) if limit]

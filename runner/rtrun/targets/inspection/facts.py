@@ -40,27 +40,27 @@ STATE_SCRIPT = ON_TARGET / "state.sh"
 _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -r) 2>/dev/null; exit 0"
 # Numbers of sched_setscheduler(2), as in field 41 of /proc/<pid>/stat (proc(5)).
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
-# What inspect.sh prints a line of.
+# The names of the lines that inspect.sh prints.
 _CODE_NAME = re.compile("[a-z]{1,32}")
 _FACTS = frozenset(("missing", "program", "elf", "debian", "cpus", "free_kib", "built"))
-# What the script of a middleware prints a line of.
+# The names of the lines that the script of a middleware prints.
 _INSTALLED = frozenset(("setup", "server", "version", "program"))
-# Stands before what the script of a middleware prints.
+# Comes before the output of the script of a middleware.
 _MIDDLEWARE = "== middleware "
-# A version of a middleware, as 1.17.0.
+# Characters of the version of a middleware, such as 1.17.0.
 VERSION_MAX = 64
-# What is read of the file that says what suites were built with.
+# Limits of the file that says what suites were built with.
 BUILT_WITH_MAX, BUILT_WITH_CHARACTERS = 32, 200
 _NAME = re.compile("[a-z][a-z0-9_]{0,63}")
-# Sections of state.sh kept as one text. Every other one is one value, or a list when it has several lines.
+# Sections of state.sh kept as one text. Every other section is one value, or a list if it has several lines.
 _TEXTS = ("cpuinfo", "memory", "os_release")
 
 Fact = str | list[str] | None
-"""What the target says of itself: a list where it has several, as the governor of each CPU."""
+"""What the target reports about itself: a list if there are several values, such as the governor of each CPU."""
 
 
 def fact_text(fact: Fact) -> str | None:
-    """A fact in one text; None for one that the target did not tell."""
+    """A fact in one text; None if the target did not report it."""
     return " ".join(fact) if isinstance(fact, list) else fact
 
 
@@ -74,12 +74,12 @@ def _numbers(value: Any) -> Any:
 
 
 def _uptime(value: Any) -> Any:
-    # The second number is the time that the CPUs were idle.
+    # The second number is the idle time of the CPUs.
     return real_number(value.partition(" ")[0]) if isinstance(value, str) else value
 
 
 class RtThread(Config):
-    """A real-time thread. The policy is a number where its name is not known; one at DEADLINE has priority 0."""
+    """A real-time thread. The policy is a number if its name is not known; a DEADLINE thread has priority 0."""
 
     tid: Pid
     name: str
@@ -88,9 +88,9 @@ class RtThread(Config):
 
 
 class TargetState(Config):
-    """The state of a target as stored in target.json; what the target does not have is None or empty.
+    """The state of a target as stored in target.json; facts that the target does not have are None or empty.
 
-    Numbers may stand as the kernel prints them.
+    Numbers may be texts, as the kernel prints them.
     """
 
     boot_id: Fact = None
@@ -124,9 +124,9 @@ class Installed:
     setup: str | None = None
     """The shell file that sets it up for its programs."""
     several: tuple[str, ...] = ()
-    """The shell files where there are several, of which the target file names none."""
+    """The shell files, if there are several and the target file selects none."""
     server: str | None = None
-    """The program that must run beside them."""
+    """The program that must run in addition to its programs."""
     version: str | None = None
 
 
@@ -138,13 +138,13 @@ class Equipment:
     programs: dict[str, str]
     """Executable name to path, of suites installed on the target."""
     built_with: Mapping[str, str]
-    """What suites were built with that were built on the target; nothing where there are none."""
+    """What the suites on the target were built with, if they were built there; otherwise empty."""
     cpus: int
     free_bytes: int
     architecture: str | None
-    """What programs of the target are made for, as `architecture.name` puts it; None where it cannot be seen."""
+    """The architecture of the target's programs, as `architecture.name` returns it; None if it is not known."""
     debian: str | None
-    """The code name of the target's Debian, as trixie; None where it is another system."""
+    """The code name of the target's Debian, such as trixie; None on another system."""
 
     def of(self, middleware: str) -> Installed:
         """What the target has of a middleware."""
@@ -158,7 +158,7 @@ def inspect(link: "Link") -> Equipment:
     """
     target = link.target
     work_folder.make(link)
-    # Through standard input: nothing can be deployed before the tools for it are known to be there.
+    # Through standard input: nothing can be deployed before it is known that the tools for it are there.
     scripts = [SCRIPT.read_text(encoding="utf-8")]
     for name, path in MIDDLEWARE_SCRIPTS.items():
         scripts.append(f"echo '{_MIDDLEWARE}{name}'\n{path.read_text(encoding='utf-8')}")
@@ -183,7 +183,7 @@ def inspect(link: "Link") -> Equipment:
 
 
 def missing(link: "Link", needs: Sequence[str]) -> list[str]:
-    """What a target lacks of these needs, as missing.sh takes and says them; for commands that deploy nothing."""
+    """Which of these needs a target lacks, in the words of missing.sh; for commands that deploy nothing."""
     script = (ON_TARGET / "missing.sh").read_text(encoding="utf-8")
     return [line[:200] for line in link.check(["sh", "-s", *needs], stdin=script).splitlines()]
 
@@ -199,7 +199,7 @@ def _lines_by_name(text: str, known: Collection[str]) -> dict[str, list[str]]:
 
 
 def _installed(target: "Target", facts: Mapping[str, Sequence[str]]) -> Installed:
-    """What a target has of a middleware; of several, where its file names none, the files that set them up."""
+    """What a target has of a middleware; if there are several and its file names none, the files that set them up."""
     setups = facts.get("setup", [])
     if target.setup is None and len(setups) > 1:
         return Installed(several=tuple(setups))
@@ -221,7 +221,7 @@ def several_of(target: "Target", equipment: Equipment, middleware: str) -> str |
 
 
 def _count(values: Sequence[str] | None, *, lowest: int, highest: int) -> int:
-    """The number that the target reports, or the lowest where it reports none."""
+    """The number that the target reports, or the lowest if it reports none."""
     try:
         return whole_number(values[0], lowest=lowest, highest=highest) if values else lowest
     except ValueError:
@@ -229,7 +229,7 @@ def _count(values: Sequence[str] | None, *, lowest: int, highest: int) -> int:
 
 
 def _built_with(lines: Sequence[str]) -> dict[str, str]:
-    """What build_suites.sh noted, a line ``name value`` each."""
+    """What build_suites.sh noted, in lines ``name value``."""
     pairs = (line.partition(" ")[::2] for line in lines[:BUILT_WITH_MAX])
     return {name: value[:BUILT_WITH_CHARACTERS] for name, value in pairs if _NAME.fullmatch(name) and value}
 
@@ -271,7 +271,7 @@ def read_state(link: "Link", script: PurePosixPath) -> TargetState:
 
 
 def parse_state(text: str) -> TargetState:
-    """Read the output of state.sh. Sections that are not known are ignored, and so is what is no such fact."""
+    """Read the output of state.sh. Unknown sections are ignored, and so are values that cannot be right."""
     state: dict[str, Any] = {}
     sections = re.split(r"^== (\w+)$", text, flags=re.MULTILINE)
     for name, body in zip(sections[1::2], sections[2::2], strict=True):
@@ -282,7 +282,7 @@ def parse_state(text: str) -> TargetState:
         elif name in _TEXTS:
             state[name] = body.strip() or None
         elif name in TargetState.model_fields and name != "rt_threads":
-            # The most are one of each CPU.
+            # The longest sections have one line per CPU.
             lines = body.strip().splitlines()[:CPUS_MAX]
             state[name] = lines[0] if len(lines) == 1 else lines or None
     try:
@@ -323,6 +323,6 @@ def running_kernel(link: "Link") -> KernelName:
 
 
 def read_kernel_config(link: "Link") -> bytes:
-    """Return the running kernel's configuration, gzipped, or nothing where the target does not have it."""
+    """Return the running kernel's configuration, gzipped; empty if the target does not have it."""
     text = link.check(["sh", "-c", _KERNEL_CONFIG])
     return gzip.compress(text.encode(), mtime=0) if text.strip() else b""

@@ -1,4 +1,4 @@
-"""Whether a board can be measured on at all: what `rtrun farm --check` asks it."""
+"""Whether a board is fit for measuring at all: the check of `rtrun farm --check`."""
 
 from typing import TYPE_CHECKING
 
@@ -8,11 +8,11 @@ from rtrun.targets.inspection import facts, platform_signs
 if TYPE_CHECKING:
     from rtrun.targets.link import Link
 
-FREE_MIN_BYTES = 64 * 2**20  # what copied suites and the samples of some runs take
+FREE_MIN_BYTES = 64 * 2**20  # room for copied suites and the samples of some runs
 
 
 def check_health(link: "Link") -> str:
-    """What the board is, in a few words. Raises TargetError where it does not answer, lacks tools or has no room."""
+    """Describe the board in a few words. Raises TargetError if it does not answer, lacks tools or has no room."""
     equipment = facts.inspect(link)
     if equipment.free_bytes < FREE_MIN_BYTES:
         raise TargetError(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 OPTIONS = ("break_trace_us", "trace_threshold_us")
 # The trace uses the clock of the samples, so that their timestamps can be compared.
 CLOCKS = {"raw": "mono_raw", "monotonic": "mono"}
-# What the timer of a thread does that sleeps until then.
+# The function that the timer of a sleeping thread calls.
 FUNCTIONS = ("hrtimer_wakeup",)
 DATA = Path(__file__).with_name("trace_events.yml")
 
@@ -31,12 +31,12 @@ class TraceEvents(Config):
 
 
 def read_events() -> list[str]:
-    """The events that a trace has, where the kernel knows them."""
+    """The events of a trace, as far as the kernel knows them."""
     return load_own(DATA, TraceEvents).events
 
 
 def read_symbols(link: "Link") -> dict[int, str]:
-    """The addresses on a target of the kernel's functions that a trace is read by; none where the kernel hides them."""
+    """The kernel functions that are needed to read a trace, by address; empty if the kernel hides the addresses."""
     names = "|".join(FUNCTIONS)
     answer = link.run(["grep", "-E", f" [tT] ({names})$", "/proc/kallsyms"]).stdout
     found = re.findall(rf"^([0-9a-f]{{8,16}}) [tT] ({names})$", answer, re.MULTILINE | re.ASCII)
@@ -49,8 +49,8 @@ def tracing(
 ) -> Iterator[None]:
     """Record the kernel trace that the suites copy from while the context lasts, if the parameters ask for one.
 
-    Raises TargetError when the target cannot trace. Where the run may go on after an error, its trace stays; the call
-    that picks up the run removes it, and so does the next campaign.
+    Raises TargetError when the target cannot trace. If the run may go on after an error, its trace stays; the call that
+    picks up the run removes the trace, and so does the next campaign.
     """
     if all(parameters.get(option) is None for option in OPTIONS):
         yield

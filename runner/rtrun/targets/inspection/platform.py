@@ -6,10 +6,10 @@ from enum import StrEnum
 
 
 class Platform(StrEnum):
-    """What times measured there mean, the strongest statement first.
+    """What measured times mean on such a machine, the strongest statement first.
 
-    HARDWARE: those of the machine. VIRTUAL: a real clock and shared CPUs, so that they hold for this virtual machine on
-    this host. EMULATED: nothing, because a program plays the processor.
+    HARDWARE: they are the times of the machine. VIRTUAL: the clock is real but CPUs are shared, so they hold for this
+    virtual machine on this host. EMULATED: nothing, because a program plays the processor.
     """
 
     HARDWARE = "hardware"
@@ -18,7 +18,7 @@ class Platform(StrEnum):
 
     @property
     def machine(self) -> str:
-        """What it is called in a sentence."""
+        """Its name in a sentence."""
         return {"hardware": "hardware", "virtual": "a virtual machine", "emulated": "an emulated board"}[self]
 
 
@@ -31,5 +31,5 @@ class KnownPlatform:
 
 
 def weakest(platforms: Iterable[Platform]) -> Platform:
-    """The platform that allows the weakest statement; hardware where there is none."""
+    """The platform that allows the weakest statement; hardware if there are no platforms."""
     return max(platforms, key=list(Platform).index, default=Platform.HARDWARE)

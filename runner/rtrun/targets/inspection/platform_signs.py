@@ -16,7 +16,7 @@ from rtrun.targets.link import Link
 DATA = Path(__file__).with_suffix(".yml")
 SCRIPT = ON_TARGET / "platform.sh"
 NO_SIGN = "no sign of a virtual machine"
-# What is read of platform.sh's output, which a target may make as long as it likes, and what is shown of that.
+# How much of platform.sh's output is read, as a target may make it as long as it likes, and how much is shown.
 LINES_MAX = 200
 LINE_CHARACTERS_MAX = 400
 SHOWN_LINES = 4
@@ -24,9 +24,9 @@ SHOWN_CHARACTERS = 80
 
 
 class Sign(Config):
-    """A hypervisor, and the expressions that are searched for in the lines of platform.sh.
+    """A hypervisor, and the expressions to search for in the lines of platform.sh.
 
-    It says nothing where signs of the hypervisor `unless` are seen.
+    The sign does not count if signs of the hypervisor `unless` are seen.
     """
 
     hypervisor: str
@@ -48,7 +48,7 @@ def read_signs() -> list[Sign]:
 
 
 def find_platform(link: Link) -> KnownPlatform:
-    """What the target is. It is asked, unless that is known already. Raises as `Link.check` does."""
+    """Find out what the target is, by asking it unless that is known already. Raises as `Link.check` does."""
     if link.target.known_platform is not None:
         return link.target.known_platform
     return judge(link.check(["sh", "-s"], stdin=SCRIPT.read_text(encoding="utf-8")).splitlines(), read_signs())

@@ -1,4 +1,4 @@
-"""What stands in the way of real time on a running target: facts from a shell script, held against rt_readiness.yml."""
+"""What hinders real time on a running target: facts from a shell script, compared with rt_readiness.yml."""
 
 import re
 from dataclasses import dataclass
@@ -18,17 +18,17 @@ SCRIPT = Path(__file__).parents[2] / "on_target" / "check_rt.sh"
 
 Severity = Literal["fatal", "high", "medium", "info"]
 SEVERITIES: tuple[Severity, ...] = ("fatal", "high", "medium", "info")
-# With one of these a target is not ready.
+# A target with a finding of one of these severities is not ready.
 GRAVE: frozenset[Severity] = frozenset({"fatal", "high"})
-# Lines of a fact that are shown at most, and how long.
+# The most lines of a fact that are shown, and their length.
 SHOWN_LINES = 4
 SHOWN_CHARACTERS = 100
 
 
 class Check(Config):
-    """One thing to look at; `none` and `some` are regular expressions searched for in each line of the fact.
+    """One check; `none` and `some` are regular expressions searched for in each line of the fact.
 
-    `safety_net` is what the remedy takes away.
+    `safety_net` is the safety that the remedy takes away.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Checks(Config):
 
 
 def with_safety_net(change: str, safety_net: str) -> str:
-    """A remedy as it is printed: whoever follows it must know which safety it costs."""
+    """A remedy as it is printed. Whoever follows it must know which safety it costs."""
     return f"{change}; this takes away a safety net: {safety_net}" if safety_net else change
 
 
@@ -94,7 +94,7 @@ def parse(text: str) -> dict[str, list[str]]:
 
 
 def judge(checks: list[Check], facts: dict[str, list[str]]) -> list[CheckResult]:
-    """Hold facts against checks; findings stand in the order of severity, faults first."""
+    """Compare facts with checks; findings are in the order of severity, faults first."""
     findings = [_judge(check, facts.get(check.fact, [])) for check in checks]
     order = ("fault", "unknown", "ok")
     return sorted(findings, key=lambda each: (order.index(each.status), SEVERITIES.index(each.check.severity)))

@@ -1,4 +1,4 @@
-"""The runner's folder on a target: made, and used only where nobody else can change what is run from there."""
+"""The runner's folder on a target: made, and used only if nobody else can change what is run from it."""
 
 from typing import TYPE_CHECKING
 
@@ -14,12 +14,12 @@ _SHOWN_CHARACTERS = 400
 
 
 def make(link: "Link") -> None:
-    """Make the folder, or see that it is ours alone; before anything else is written, or ended, by what stands there.
+    """Make the folder, or check that it is ours alone. Must come before anything is written or ended by its contents.
 
     Raises TargetError with the reason and the remedy.
     """
     folder, address = link.target.work_dir, link.target.address
-    # Through standard input: nothing stands there yet.
+    # Through standard input: nothing is deployed yet.
     said = link.check(["sh", "-s", str(folder)], stdin=SCRIPT.read_text(encoding="utf-8"))
     if not said:
         return
@@ -37,7 +37,7 @@ def make(link: "Link") -> None:
             f"write to in a target file, as 'work_dir: {own}', or log in as root"
         )
     above = not why.startswith((f"{folder} ", "/ "))
-    # Who has a file open can write to it, whatever becomes of the rights.
+    # Whoever has a file open can write to it, even after its rights were changed.
     remedy = ", or take that right away (chown, chmod go-w)" if above else "; to take that right away is not enough"
     raise TargetError(
         f"{address}: {folder}: others could replace what {user} runs from there: {why}: name a new folder where nobody "

@@ -1,6 +1,6 @@
-"""What a labgrid coordinator says, its places and what exporters offer for them, and how it is told something.
+"""Ask a labgrid coordinator for its places and for the resources that exporters offer, and change places there.
 
-It is asked directly. What changes something there is done by labgrid's own client, in a process of its own.
+The coordinator is asked directly. Changes are made by labgrid's own client, in a process of its own.
 """
 
 import contextlib
@@ -22,10 +22,10 @@ COORDINATOR = "127.0.0.1:20408"
 CLIENT_S = 120.0
 ANSWER_S = 15.0
 QUARANTINE = "quarantine"
-"""The tag of a place that failed its health check twice; why is its value."""
+"""The tag of a place that failed its health check twice; its value is the reason."""
 # The client reads these, too.
 _VARIABLES = ("LG_ENV", "LG_PLACE", "PLACE", "LG_TOKEN", "LG_STATE", "STATE", "LG_INITIAL_STATE", "LG_COORDINATOR")
-# Resources with a power driver whose names do not say so.
+# Resources that have a power driver although their names do not say so.
 _ALSO_POWER = ("PDUDaemonPort", "NetworkSysfsGPIO")
 # The state of a reservation that a place was allocated to (labgrid's ReservationState).
 _ALLOCATED = 1
@@ -71,12 +71,12 @@ class LabgridClient:
 
     @property
     def identity(self) -> str:
-        """How the coordinator names who has a place."""
+        """The name under which the coordinator lists this client as holder of a place."""
         return f"{os.environ.get('LG_HOSTNAME') or socket.gethostname()}/{self.user}"
 
     @property
     def environment(self) -> dict[str, str]:
-        """Of its process; what labgrid's variables say of places is for the target file to say."""
+        """The environment of its process. labgrid's variables about places are left out: the target file decides."""
         return {name: value for name, value in os.environ.items() if name not in _VARIABLES} | {
             "LG_USERNAME": self.user
         }
@@ -139,7 +139,7 @@ def find_place(coordinator: str, name: str) -> LabgridPlace | None:
 
 
 def matching(places: Sequence[LabgridPlace], tags: Mapping[str, str]) -> list[LabgridPlace]:
-    """The places that have all of these tags, of which `name` is that of the place itself."""
+    """The places that have all of these tags. The tag `name` is the name of the place itself."""
     return [place for place in places if tags.items() <= {**place.tags, "name": place.name}.items()]
 
 
@@ -147,7 +147,7 @@ def list_resources(coordinator: str) -> list[OfferedResource]:
     """Ask a coordinator what exporters offer. Raises as `list_places` does."""
     found = []
     with _asked(coordinator) as (stub, messages):
-        # Resources are told to those alone that listen; what was asked for before the sync comes before its answer.
+        # Only listeners get the resources. What was asked for before the sync arrives before its answer.
         requests = (
             messages.ClientInMessage(startup=messages.StartupDone(version="rtrun", name="rtrun/rtrun")),
             messages.ClientInMessage(subscribe=messages.Subscribe(all_resources=True)),
@@ -179,17 +179,17 @@ def allocated(coordinator: str, token: str) -> str | None:
 
 
 def resources_of(place: LabgridPlace, offered: Sequence[OfferedResource]) -> list[OfferedResource]:
-    """What is offered for a place."""
+    """The resources that are offered for a place."""
     return [each for each in offered if any(_fits(pattern, each) for pattern in place.matches)]
 
 
 def unoffered(place: LabgridPlace, offered: Sequence[OfferedResource]) -> list[str]:
-    """The patterns of a place that nothing fits which is offered now."""
+    """The patterns of a place that no resource offered now fits."""
     return [pattern for pattern in place.matches if not any(_fits(pattern, each) for each in offered)]
 
 
 def what_ended(coordinator: str, place: LabgridPlace) -> str:
-    """The message about a place whose exporter ended; empty where all is offered. Raises as `list_places` does."""
+    """The message about a place whose exporter ended; empty if all is offered. Raises as `list_places` does."""
     missing = unoffered(place, list_resources(coordinator))
     return f"place {place.name}: {nobody_offers(missing)}" if missing else ""
 
@@ -215,7 +215,7 @@ def _fits(pattern: str, resource: OfferedResource) -> bool:
 
 @contextlib.contextmanager
 def _asked(coordinator: str) -> Iterator[tuple[Any, Any]]:
-    """Yield what asks a coordinator, and the types of its messages."""
+    """Yield a stub that asks a coordinator, and the types of its messages."""
     try:
         import grpc
         from labgrid.remote.generated import labgrid_coordinator_pb2 as messages
@@ -224,7 +224,7 @@ def _asked(coordinator: str) -> Iterator[tuple[Any, Any]]:
         raise UsageError(f"targets of labgrid need the package labgrid: {install_extra('farm')} ({error})") from error
     address = coordinator if ":" in coordinator else f"{coordinator}:20408"
     try:
-        # A connection of its own: a coordinator knows who listens by that alone, and gRPC would share one.
+        # A separate connection: a coordinator tells listeners apart only by connection, and gRPC would share one.
         with grpc.insecure_channel(address, [("grpc.use_local_subchannel_pool", 1)]) as channel:
             yield services.CoordinatorStub(channel), messages
     except grpc.RpcError as error:

@@ -1,4 +1,4 @@
-"""labgrid's own environment file: what it says of the places that it names."""
+"""labgrid's own environment file: what it says about the places that it names."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from rtfiles.errors import UsageError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Environment:
-    """What labgrid's own environment file says of the places it names."""
+    """What labgrid's own environment file says about the places that it names."""
 
     path: Path | None = None
     coordinator: str | None = None

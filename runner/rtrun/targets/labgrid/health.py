@@ -1,8 +1,8 @@
-"""What the tags of a place say of its health, and what a check makes of them.
+"""The health of a place in its tags, and how a check changes them.
 
-A place that failed its check once has the tag `failed_check`, after the second time in a row `quarantine`, with the day
-and the reason; a passed check takes both away. Labs whose users filter by `healthy=yes` have that tag set to no
-meanwhile. Nothing else remembers it.
+A place that failed its check once has the tag `failed_check`; after a second failure in a row it has `quarantine`. The
+value is the day and the reason. A passed check removes both. In labs whose users filter by `healthy=yes`, that tag is
+`no` meanwhile. Health is stored nowhere else.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ _REASON_MAX = 100  # characters
 
 
 def after_failure(tags: Mapping[str, str], reason: str, today: date) -> dict[str, str]:
-    """The tags to set where a check failed, by name; an empty value removes one."""
+    """The tags to set after a failed check, by name; an empty value removes a tag."""
     if QUARANTINE in tags:
         return {}
     if FAILED not in tags:
@@ -28,7 +28,7 @@ def after_failure(tags: Mapping[str, str], reason: str, today: date) -> dict[str
 
 
 def after_success(tags: Mapping[str, str]) -> dict[str, str]:
-    """The tags to set where a check was passed."""
+    """The tags to set after a passed check."""
     healthy = {HEALTHY: "yes"} if QUARANTINE in tags and tags.get(HEALTHY) == "no" else {}
     return {name: "" for name in (QUARANTINE, FAILED) if name in tags} | healthy
 
@@ -41,13 +41,13 @@ def in_words(value: str) -> str:
 
 
 def since(value: str) -> date | None:
-    """The day of such a tag; None for one that somebody set without a day."""
+    """The day of such a tag; None if somebody set the tag without a day."""
     with contextlib.suppress(ValueError):
         return date.fromisoformat(value.partition("_")[0])
     return None
 
 
 def _value(reason: str, today: date) -> str:
-    """Day and reason, of characters that every program takes in a tag, none of which ends it."""
+    """Day and reason, in characters that every program accepts within a tag."""
     words = re.sub("[^a-z0-9.-]+", "_", reason.lower()).strip("_")
     return f"{today.isoformat()}_{words[:_REASON_MAX] or 'unknown'}"

@@ -1,10 +1,10 @@
 """Boards of a labgrid farm: a place is acquired for as long as its context lasts, and given back whatever happens.
 
-What changes something at the coordinator is done by labgrid's own client, in a process of its own. A shell gives the
-place back when the runner closes its standard input, or when the runner is gone, however it ended.
+Changes at the coordinator are made by labgrid's own client, in a process of its own. A shell gives the place back when
+the runner closes the shell's standard input, or when the runner is gone, however it ended.
 
-labgrid knows who has a place by host and user alone. So each acquisition here has a user name of its own: two runners
-of one user, or two targets of one campaign, never take the same place.
+labgrid identifies the holder of a place only by host and user. So each acquisition here has its own user name: two
+runners of one user, or two targets of one campaign, never take the same place.
 """
 
 import contextlib
@@ -75,10 +75,10 @@ class AcquiredPlace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WantedPlace:
-    """What is asked of a coordinator: a place with these tags, of which `name` is that of the place itself.
+    """The place to ask a coordinator for: one with these tags. The tag `name` is the name of the place itself.
 
-    Of those who wait the one with the highest priority has a place first. A health check takes a place in quarantine,
-    too, and waits for none. `preferred` is the place to take where it is free and fits.
+    Of those who wait, the one with the highest priority gets a place first. A health check also takes a place in
+    quarantine, and does not wait. `preferred` is the place to take if it is free and fits.
     """
 
     coordinator: str
@@ -95,8 +95,8 @@ def acquired(
 ) -> Iterator[AcquiredPlace]:
     """Acquire a place and yield it, its serial console kept in a file.
 
-    Where all such places are held, one is reserved and waited for until `is_over`. A place that this user has acquired
-    on this machine before is taken as it is, in quarantine too, and stays acquired.
+    If all such places are held, one is reserved and waited for until `is_over`. A place that this user has already
+    acquired on this machine is taken as it is, even in quarantine, and stays acquired.
     """
     environment = wanted.environment
     client = LabgridClient(coordinator=wanted.coordinator, user=os.environ.get("LG_USERNAME") or getpass.getuser())
@@ -137,7 +137,7 @@ def acquired(
 
 
 def _fitting(wanted: WantedPlace) -> list[LabgridPlace]:
-    """The places that are wanted, those in quarantine too. Raises UsageError where there are none."""
+    """The places that fit, including those in quarantine. Raises UsageError if there are none."""
     places = list_places(wanted.coordinator)
     fitting = matching(places, wanted.tags)
     if not fitting:
@@ -150,12 +150,12 @@ def _fitting(wanted: WantedPlace) -> list[LabgridPlace]:
 
 
 def _to_be_had(wanted: WantedPlace, fitting: list[LabgridPlace]) -> list[LabgridPlace]:
-    """Of fitting places those that may be taken. Raises TargetError where all are in quarantine."""
+    """The fitting places that may be taken. Raises TargetError if all are in quarantine."""
     return fitting if wanted.is_check else without_quarantine(fitting)[0]
 
 
 def without_quarantine(places: Sequence[LabgridPlace]) -> tuple[list[LabgridPlace], str]:
-    """The places that are not in quarantine, and why the others are. Raises TargetError where none is left."""
+    """The places that are not in quarantine, and why the others are. Raises TargetError if no place is left."""
     healthy = [place for place in places if place.quarantine is None]
     why = "; ".join(
         f"place {each.name} is in quarantine: {in_words(each.quarantine)}" for each in places if each.quarantine
@@ -172,7 +172,7 @@ def power_cycles(place: LabgridPlace) -> int:
 
 
 def _explained(coordinator: str, name: str, error: TargetError) -> TargetError:
-    """What is wrong with a place, where it is that its exporter ended; else the error."""
+    """An error that names the exporter if the place's exporter has ended; otherwise the error itself."""
     with contextlib.suppress(InfrastructureError):
         place = find_place(coordinator, name)
         if place and (ended := what_ended(coordinator, place)):
@@ -196,7 +196,7 @@ def _reserve_and_acquire(
             is_held = all(place.holder for place in fitting)
             if is_held and wanted.is_check:
                 raise TargetGone(", ".join(f"held by {place.holder}" for place in fitting))
-            # Of several that ask at one time all see the place free: who waits finds out when it has waited.
+            # If several ask at the same time, all of them see the place free. Whoever has to wait finds out by waiting.
             if is_held and say_at is not None:
                 notify(_holders(fitting))
                 say_at = None
@@ -212,7 +212,7 @@ def _reserve_and_acquire(
                     say_at = None
                 time.sleep(POLL_S)
                 name = _allocated(client.coordinator, tokens)
-            # It may have been put into quarantine meanwhile.
+            # The place may have been put into quarantine meanwhile.
             if any(place.name == name for place in _to_be_had(wanted, _fitting(wanted))):
                 stack.enter_context(_acquire(client, name))
                 return name
@@ -225,11 +225,11 @@ def _reserve_and_acquire(
 def _reserve(
     client: LabgridClient, wanted: WantedPlace, fitting: Sequence[LabgridPlace], tokens: list[str], *, is_any: bool
 ) -> str | None:
-    """Reserve a place, and add to `tokens` what names the reservations; the place that was free at once, or None.
+    """Reserve a place, and add the tokens of the reservations to `tokens`; return a place that was free, or None.
 
-    The preferred one is had first where it is free.
-    labgrid knows no filter for a tag that a place is not to have. So where not any of the wanted ones may be had, as
-    some are in quarantine, the others are reserved by their names, free ones first, until one is had.
+    The preferred place comes first if it is free. labgrid cannot filter by a tag that a place must not have. So if some
+    of the fitting places are in quarantine (not `is_any`), the others are reserved by name, free ones first, until one
+    is allocated.
     """
     filters = [wanted.tags]
     if any(place.name == wanted.preferred and not place.holder and not place.reservation for place in fitting):
@@ -250,7 +250,7 @@ def _reserve(
 
 
 def _allocated(coordinator: str, tokens: Sequence[str]) -> str | None:
-    """The place that one of the reservations has. All are asked, which keeps them alive."""
+    """The place that one of the reservations has. Asking for all of them keeps them alive."""
     names = [allocated(coordinator, token) for token in tokens]
     return next((name for name in names if name is not None), None)
 
@@ -271,11 +271,11 @@ def _acquire(client: LabgridClient, place: str) -> Iterator[None]:
     """Have a process acquire a place, and give it back when the context is left, or this process ends."""
     with subprocess.Popen(
         ["sh", "-c", _ACQUIRE_AND_RELEASE, "sh", client.identity, *client.command("-p", place)],
-        # The runner has the other end, and nobody else does.
+        # Only the runner has the other end.
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=client.environment,
-        # Ctrl-C on the terminal is not for it.
+        # Ctrl-C on the terminal must not reach this process.
         start_new_session=True,
         text=True,
         errors="replace",
@@ -295,7 +295,7 @@ def _acquire(client: LabgridClient, place: str) -> Iterator[None]:
         finally:
             timer.cancel()
         if expired.is_set():
-            # What gives the place back was ended, too.
+            # The process that gives the place back was ended, too.
             with contextlib.suppress(InfrastructureError):
                 client.call("-p", place, "release-from", client.identity)
             raise TargetError(f"place {place} was not acquired within {CLIENT_S:g} s")

@@ -1,4 +1,4 @@
-"""What an acquired place has, from what labgrid's client prints of it."""
+"""The resources of an acquired place, read from the output of labgrid's client."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -36,7 +36,7 @@ def ssh_service(resources: Mapping[str, Mapping[str, Any]], place: str) -> SshSe
 def read_resources(printed: str, place: str) -> dict[str, dict[str, Any]]:
     """The resources of a place by class, from what `labgrid-client env` printed."""
     try:
-        # Above the file it may say what it does.
+        # The client may print what it does before the file.
         data, _ = parse_yaml(printed[printed.index("targets:") :], "labgrid-client env")
         return dict(entries(data["targets"][place], "resources"))
     except (UsageError, ValueError, KeyError, TypeError) as error:

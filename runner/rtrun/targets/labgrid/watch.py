@@ -1,4 +1,4 @@
-"""What becomes of a place of a farm while it is ours: whether its exporter and its coordinator are still there."""
+"""Watch a place of a farm while it is ours: whether its exporter and its coordinator are still there."""
 
 import contextlib
 import threading
@@ -12,10 +12,10 @@ WATCH_S = 10.0
 
 @contextlib.contextmanager
 def watching(client: LabgridClient, name: str, notify: Callable[[str], None], *, is_ours: bool) -> Iterator[None]:
-    """Say once what is wrong with an acquired place while the context lasts, and that it is well again.
+    """While the context lasts, report once what is wrong with an acquired place, and once that it is well again.
 
-    Measuring needs neither coordinator nor exporter, so it goes on. A coordinator that was started again does not know
-    who had a place (labgrid 26): one that is ours, and not acquired by the user before, is acquired again, so that
+    Measuring needs neither coordinator nor exporter, so it goes on. A restarted coordinator does not know who had a
+    place (labgrid 26). So a place that is ours, and was not acquired by the user before, is acquired again, so that
     nobody else takes it.
     """
     ended = threading.Event()
@@ -42,7 +42,7 @@ def watching(client: LabgridClient, name: str, notify: Callable[[str], None], *,
 
 
 def _wrong(client: LabgridClient, name: str, ended: threading.Event | None) -> str:
-    """What is wrong with a place; empty where nothing is. It is acquired again until `ended`, None: it is not."""
+    """What is wrong with a place; empty: nothing. Acquires it again unless `ended` is set or None."""
     place = find_place(client.coordinator, name)
     if place is None:
         return f"the labgrid coordinator at {client.coordinator} has no place {name} any more"

@@ -75,11 +75,11 @@ class BoardFile(Config):
     ssh: Login
     kernel_release: str
     kernels: dict[KernelName, BootEntry] = Field(default_factory=dict)
-    """Where it has two kernels: both. It starts with the one that is named above."""
+    """Both kernels, if the board has two. It starts with the one that is named above."""
     packages: dict[str, str]
 
     def entry(self, kernel: KernelName | None) -> BootEntry:
-        """What to boot for a kernel; None: what the board starts with."""
+        """The entry to boot for a kernel; None: the one that the board starts with."""
         if kernel is not None:
             return self.kernels[kernel]
         return BootEntry(kernel=self.kernel, initrd=self.initrd, dtb=self.dtb, kernel_release=self.kernel_release)
@@ -87,7 +87,7 @@ class BoardFile(Config):
 
 @dataclass(slots=True, kw_only=True)
 class BootedBoard:
-    """A booted board. QEMU cannot change the kernel that it was called with: another one is booted by another QEMU."""
+    """A booted board. A running QEMU cannot change its kernel: another kernel is booted by another QEMU."""
 
     board: BoardFile
     folder: Path
@@ -96,18 +96,18 @@ class BootedBoard:
     console: Path
     process: subprocess.Popen[bytes] | None = field(init=False, default=None)
     port: int = field(init=False, default=0)
-    """Of this machine, forwarded to the board's SSH server; QEMU draws it at the first start."""
+    """The port of this machine that leads to the board's SSH server; chosen at the first start."""
     _running: KernelName | None = field(init=False, default=None)
     _chosen: KernelName | None = field(init=False, default=None)
 
     @property
     def platform(self) -> KnownPlatform:
-        """What runs it."""
+        """The platform that runs the board."""
         return platform_of(self.board, self.folder)
 
     @property
     def address(self) -> Address:
-        """Where it answers, also after a restart."""
+        """Where the board answers, also after a restart."""
         login = self.board.ssh
         return Address(
             host="127.0.0.1", port=self.port, user=login.user, key=self.folder / login.key, host_key=login.host_key
@@ -205,7 +205,7 @@ def command(machine: BootedBoard, kernel: KernelName | None) -> list[str]:
     board, folder = machine.board, machine.folder
     entry = board.entry(kernel)
     argv = [
-        # QEMU ends with the runner, however that ends.
+        # QEMU ends with the runner, however the runner ends.
         *("setpriv", "--pdeathsig", "KILL", "--"),
         *emulator(board, folder),
         *("-nodefaults", "-no-user-config", "-display", "none"),
@@ -224,8 +224,8 @@ def command(machine: BootedBoard, kernel: KernelName | None) -> list[str]:
 def boot(folder: Path, console: Path, overlay: Path | None = None) -> Iterator[BootedBoard]:
     """Start the board and yield it at once; it may take seconds until SSH answers.
 
-    `overlay` is where the changes to the disk go: one that exists is booted again (as after a power cut), by default
-    they are thrown away. Leaving the context ends QEMU.
+    Changes to the disk go to `overlay`; without it they are thrown away. An existing overlay is booted again, as after
+    a power cut. Leaving the context ends QEMU.
     """
     board = read_board(folder)
     for tool in (board.qemu.binary, "qemu-img", "setpriv"):
@@ -257,7 +257,7 @@ def _ask_for_network(process: subprocess.Popen[bytes], monitor: Path) -> object:
         try:
             return qmp.execute(monitor, "human-monitor-command", {"command-line": "info usernet"})
         except TargetGone as error:
-            # The file of a socket is there a moment before anybody listens.
+            # The file of a socket exists a moment before QEMU listens.
             opens = isinstance(error.__cause__, FileNotFoundError | ConnectionRefusedError)
             if not opens or process.poll() is not None:
                 raise
@@ -268,7 +268,7 @@ def _forwarded_port(process: subprocess.Popen[bytes], monitor: Path, log: Path) 
     try:
         answer = _ask_for_network(process, monitor)
     except TargetGone:
-        # QEMU opens its monitor before it has looked at all of its arguments.
+        # QEMU opens its monitor before it has checked all of its arguments.
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(STOP_S)
         if process.returncode is None:

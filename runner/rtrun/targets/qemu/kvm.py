@@ -9,15 +9,15 @@ from pathlib import Path
 
 from rtfiles.output import print_note
 
-# Such a guest takes a second where KVM works, and for ever where it hangs.
+# Such a guest takes a second if KVM works, and never ends if KVM hangs.
 DEADLINE_S = 10.0
 
 
 @functools.cache
 def works(qemu: tuple[str, ...], kernel: Path) -> bool:
-    """Whether QEMU, with arguments that ask for KVM, starts this kernel. Says so in a note where it does not.
+    """Whether QEMU, with arguments that ask for KVM, starts this kernel. If it does not, a note says so.
 
-    The kernel gets no disk and is told to restart when it panics, which is what ends the guest. Tried once a process.
+    The kernel gets no disk and has to restart when it panics, which ends the guest. Tried once per process.
     """
     command = ["setpriv", "--pdeathsig", "KILL", "--", *qemu, "-nodefaults", "-no-user-config", "-display", "none"]
     command += ["-no-reboot", "-kernel", str(kernel), "-append", "panic=-1"]

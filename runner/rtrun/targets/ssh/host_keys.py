@@ -1,4 +1,4 @@
-"""Which host key a target may show: from the target file, or from known_hosts as OpenSSH reads it (sshd(8)).
+"""The host keys that a target may show: from the target file, or from known_hosts as OpenSSH reads it (sshd(8)).
 
 Host certificates are understood as in OpenSSH's PROTOCOL.certkeys: a certificate counts when an authority of
 known_hosts signed it for this host, and its plain key may be listed as well.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 CERTIFICATE = "-cert-v01@openssh.com"
 KNOWN_HOSTS_BYTES_MAX = 8 * untrusted.MIB
-# Fields of a public key that stand between the nonce and the serial number of its certificate.
+# The number of fields of a public key, which are between the nonce and the serial number of its certificate.
 _KEY_FIELDS = {
     "ssh-ed25519": 1,
     "ecdsa-sha2-nistp256": 2,
@@ -46,7 +46,7 @@ class HostKeys:
 
     @property
     def is_fingerprint(self) -> bool:
-        """Whether only a fingerprint is known, which may be of a key of any type."""
+        """Whether only a fingerprint is known; the key may have any type."""
         return "" in self.trusted.values()
 
     @property
@@ -58,7 +58,7 @@ class HostKeys:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
-    """A certificate in the parts that decide whether it counts. Times are in seconds since 1970."""
+    """The parts of a certificate that decide whether it counts. Times are in seconds since 1970."""
 
     type: int
     principals: tuple[str, ...]
@@ -80,14 +80,14 @@ def fingerprint(blob: bytes) -> str:
 
 
 def fingerprint_of(digest: bytes) -> str:
-    """Return the fingerprint for a SHA-256. Raises ValueError where it is none."""
+    """Return the fingerprint for a SHA-256. Raises ValueError for another length."""
     if len(digest) != hashlib.sha256().digest_size:
         raise ValueError("a SHA-256 has 32 bytes")
     return "SHA256:" + base64.b64encode(digest).decode().rstrip("=")
 
 
 def base_type(algorithm: str) -> str:
-    """The type of key that signs under this name: an RSA key has several, and each has one for certificates."""
+    """The type of key that signs under this name. An RSA key has several names; each name has one for certificates."""
     plain = algorithm.removesuffix(CERTIFICATE)
     return "ssh-rsa" if plain.startswith("rsa-sha2-") else plain
 
@@ -100,7 +100,7 @@ def _algorithms(kind: str) -> tuple[str, ...]:
 def read_host_keys(address: Address) -> HostKeys:
     """Return the host keys that are accepted from a target. Raises UsageError, from known_hosts.
 
-    A key of the target file is accepted unless known_hosts revokes it: as in OpenSSH, no other setting outweighs that.
+    A key of the target file is accepted unless known_hosts revokes it; as in OpenSSH, nothing overrides a revocation.
     """
     listed = _read_known_hosts(address)
     if address.host_key is None:
@@ -127,7 +127,7 @@ def read_host_key(text: str) -> dict[str, str]:
     try:
         if text.startswith("SHA256:"):
             digest = text.removeprefix("SHA256:").rstrip("=")
-            # What is shown is compared as a text, so no second way to write the same bits is taken.
+            # Fingerprints are compared as texts, so a second way to write the same bits is refused.
             if fingerprint_of(base64.b64decode(f"{digest}=", validate=True)) != f"SHA256:{digest}":
                 raise ValueError
             return {f"SHA256:{digest}": ""}
@@ -180,7 +180,7 @@ def _key_blob(kind: bytes, encoded: bytes) -> bytes:
 
 
 def _names(patterns: bytes, host: str) -> bool:
-    """Whether the first field of a line names a host: a hash of it, or patterns with ``*``, ``?`` and ``!``."""
+    """Whether the first field of a line (a hash, or patterns with ``*``, ``?`` and ``!``) names this host."""
     if patterns.startswith(b"|1|"):
         try:
             salt, digest = (base64.b64decode(part, validate=True) for part in patterns[3:].split(b"|"))
@@ -246,7 +246,7 @@ def check_host_key(address: Address, key: "paramiko.PKey", known: HostKeys) -> N
 
 
 def _remedy(address: Address, shown: str) -> str:
-    """How a host key becomes a known one, once somebody has compared it."""
+    """How to make a host key known, once somebody has compared it."""
     files = [str(path.expanduser()) for path in address.known_hosts]
     if not address.is_jump:
         listing = f" or add the host to {' and '.join(files)}" if files else ""
@@ -306,7 +306,7 @@ def _objection(certificate: Certificate, host: str, known: HostKeys) -> str:
         return "it has critical options, which no host certificate may have"
     if not certificate.valid_after <= time.time() < certificate.valid_before:
         return "it is not valid now; look at the clocks and renew it"
-    # As OpenSSH: without principals it is for every host.
+    # As OpenSSH: a certificate without principals is for every host.
     if certificate.principals and not any(matches(each.lower(), host) for each in certificate.principals):
         return f"it is for {', '.join(certificate.principals)}, not for {host}"
     if not _is_signed(certificate):
@@ -322,7 +322,7 @@ def _is_signed(certificate: Certificate) -> bool:
         authority = paramiko.PKey.from_type_string(kind.decode("ascii"), certificate.authority)
         return bool(authority.verify_ssh_sig(certificate.signed, paramiko.Message(certificate.signature)))
     except Exception:
-        # Whatever paramiko and its libraries raise on bytes that are no key or no signature.
+        # paramiko and its libraries may raise anything on bytes that are no key or no signature.
         return False
 
 

@@ -40,9 +40,9 @@ class Keys:
 
     usable: list[paramiko.PKey]
     locked: list[Path]
-    """Key files with a passphrase that was not asked for yet."""
+    """Key files whose passphrase was not asked for yet."""
     source: str
-    """Where the keys are from, for messages."""
+    """Where the keys come from, for messages."""
 
 
 # Passphrases are asked for once, not at each new connection.
@@ -57,7 +57,7 @@ def read_keys(address: Address) -> Keys:
     try:
         held = _ask_agent(address)
     except TargetError as error:
-        # A file may do; people have agents that ended long ago in their environment.
+        # A key file may do. The environment may name an agent that ended long ago.
         held, failure = [], str(error)
     files = [path.expanduser() for path in address.identities]
     # Path.is_file raises where a folder may not be read.
@@ -91,12 +91,12 @@ def check_key_file(path: Path) -> None:
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror or error}: name the file of a private key as 'key'") from error
     except Exception as error:
-        # paramiko and its libraries raise whatever on a file that is no key.
+        # paramiko and its libraries may raise anything on a file that is no key.
         raise UsageError(f"{path}: is no private key that can be read here: {error}") from error
 
 
 def _read_one(address: Address, path: Path) -> Keys:
-    """The key that the target file names; with a passphrase, the agent may have it."""
+    """The key that the target file names. If it has a passphrase, the agent may hold it."""
     try:
         return Keys(usable=_read_key_file(path), locked=[], source=str(path))
     except FileNotFoundError as error:
@@ -108,7 +108,7 @@ def _read_one(address: Address, path: Path) -> Keys:
             key = None
         return Keys(usable=[key] if key else [], locked=[] if key else [path], source=str(path))
     except Exception as error:
-        # paramiko and its libraries raise whatever on a file that is no key.
+        # paramiko and its libraries may raise anything on a file that is no key.
         raise TargetError(f"{address}: key {path} cannot be read: {error}") from error
 
 
@@ -120,7 +120,7 @@ def unlock(address: Address, path: Path) -> list[paramiko.PKey]:
             "or call rtrun on a terminal, where it asks for it"
         )
     for _ in range(PROMPTS):
-        # A line that shows the progress may stand there.
+        # Clear a line that may show the progress.
         print_status("")
         try:
             passphrase = getpass.getpass(f"Passphrase of {path}: ")
@@ -129,7 +129,7 @@ def unlock(address: Address, path: Path) -> list[paramiko.PKey]:
         try:
             _unlocked[path] = _read_key_file(path, passphrase)
         except Exception:
-            # paramiko and its libraries raise whatever on a wrong passphrase.
+            # paramiko and its libraries may raise anything on a wrong passphrase.
             continue
         return _unlocked[path]
     raise TargetError(f"{address}: key {path}: that is not its passphrase")
@@ -177,8 +177,8 @@ def _held(path: Path, held: Sequence[paramiko.PKey]) -> paramiko.PKey | None:
 def _read_key_file(path: Path, passphrase: str | None = None) -> list[paramiko.PKey]:
     """Return the key of a file, after the one with its certificate if it has one.
 
-    Raises PasswordRequiredException without the passphrase that it needs, and whatever paramiko and its libraries
-    raise on a file that is no key.
+    Raises PasswordRequiredException if the key needs a passphrase and none is given, and whatever paramiko and its
+    libraries raise on a file that is no key.
     """
     if path in _unlocked:
         return list(_unlocked[path])
@@ -204,7 +204,7 @@ def _load(path: Path, passphrase: str | None) -> paramiko.PKey:
         except (OSError, paramiko.PasswordRequiredException):
             raise
         except TypeError as error:
-            # The library below says so of a PEM file.
+            # For a PEM file, the library below raises this if there is no passphrase.
             raise paramiko.PasswordRequiredException(str(error)) from error
         except Exception as error:
             # A key of another type, or no key.
@@ -230,8 +230,8 @@ def log_in(transport: paramiko.Transport, address: Address, keys: Keys) -> None:
         except TimeoutError as error:
             raise TargetError(f"{address}: the SSH agent has not signed for {AGENT_S:g} s") from error
         except Exception as error:
-            # paramiko raises here whatever its reading thread has ended with. It has no type for a server that does not
-            # answer: a board that has just booted may be slow, and has refused nothing.
+            # paramiko raises the error that ended its reading thread. It has no type for a server that does not answer:
+            # a board that has just booted may be slow, and has refused nothing.
             if str(error) == "Authentication timeout.":
                 raise TimeoutError("it has not answered to the login in time") from error
             hung_up = not transport.is_active()

@@ -20,7 +20,7 @@ from rtrun.targets.ssh.host_keys import matches
 
 FILE = Path("~/.ssh/config")
 SSH_CONFIG_BYTES_MAX = untrusted.MIB
-# As OpenSSH. A jump host may have a jump host of its own, so there may be as many of these.
+# Includes as in OpenSSH. A jump host may have a jump host of its own, so their number is limited, too.
 INCLUDES_MAX = 16
 JUMPS_MAX = 8
 DEFAULT_IDENTITIES = ["~/.ssh/id_rsa", "~/.ssh/id_ecdsa", "~/.ssh/id_ed25519"]
@@ -44,7 +44,7 @@ _JUMP = re.compile(r"(?:ssh://)?(?:([^@]+)@)?(\[[^]]+\]|[^:\[\]]+)(?::([0-9]{1,5
 
 @dataclass(slots=True, kw_only=True)
 class _Lookup:
-    """One host, and what was found about it so far: keyword in lower case to its words."""
+    """One host, and the settings found for it so far: keyword in lower case to its words."""
 
     alias: str
     user: str | None
@@ -64,9 +64,9 @@ def address_of(
     host_key: str | None = None,
     known_hosts: Path | None = None,
 ) -> Address:
-    """Return the address of a host by its name or its alias in ~/.ssh/config; what is given here comes first.
+    """Return the address of a host by its name or its alias in ~/.ssh/config; these arguments take precedence.
 
-    The user is root where nobody names one. Raises UsageError naming the line that is wrong or cannot be followed.
+    The default user is root. Raises UsageError naming the line that is wrong or cannot be followed.
     """
     address = _address(FILE.expanduser(), host, user=user, port=port, default_user="root")
     return replace(
@@ -113,7 +113,7 @@ def _address(
 
 
 def _jump(file: Path, lookup: _Lookup, hops: list[str] | None, before: tuple[str, ...]) -> Address | None:
-    """Return the last jump host before a host, which has those before it as its own."""
+    """Return the last jump host before a host; the earlier ones are its own jump hosts."""
     if hops is None:
         hops = [hop for word in lookup.settings.get("proxyjump", []) for hop in word.split(",")]
     if not hops or hops == ["none"]:
@@ -178,12 +178,12 @@ def _included(patterns: list[str], where: str) -> Iterator[Path]:
             path = FILE.expanduser().parent / Path(pattern).expanduser()
         except RuntimeError as error:
             raise UsageError(f"{where}: {error}") from error
-        # Unlike Path.glob it takes every text, and finds nothing where nothing can be.
+        # Unlike Path.glob, it accepts every text, and returns nothing for an impossible one.
         yield from map(Path, sorted(glob.glob(str(path))))  # noqa: PTH207
 
 
 def _is_named(patterns: list[str], name: str) -> bool:
-    """Whether a list of patterns names a host: one of them fits, and no one that begins with ``!``."""
+    """Whether a list of patterns names a host: a pattern fits, and no pattern with ``!`` excludes it."""
     fitting = [pattern for pattern in patterns if matches(pattern.removeprefix("!").lower(), name.lower())]
     return bool(fitting) and not any(pattern.startswith("!") for pattern in fitting)
 
@@ -211,7 +211,7 @@ def _is_matched(words: list[str], lookup: _Lookup, where: str) -> bool:
 
 
 def _expand(file: Path, text: str, tokens: Mapping[str, str]) -> str:
-    """Replace the tokens of ssh_config(5), as ``%h``."""
+    """Replace the tokens of ssh_config(5), such as ``%h``."""
     try:
         return re.sub("%(.?)", lambda token: {**tokens, "%": "%"}[token[1]], text)
     except KeyError as error:

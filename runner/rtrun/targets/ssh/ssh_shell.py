@@ -1,4 +1,4 @@
-"""Commands over SSH: each in a channel of its own, ended from a second one when its time is up."""
+"""Run commands over SSH: each in its own channel. A second channel ends it when its time is up."""
 
 import contextlib
 import re
@@ -19,15 +19,15 @@ from rtrun.targets.errors import ConnectionLost, DeadlineExpired, TargetError
 from rtrun.targets.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, POLL_S, Collector, TooMuch
 from rtrun.targets.ssh.transport import FORBIDDEN, connect, reason, shutting_down
 
-# All that a window holds: paramiko moves what is left in its buffer, up to 2 MiB, each time a part of it is taken.
+# All that a window holds: each time a part is taken, paramiko moves the rest of its buffer, up to 2 MiB.
 _READ_BYTES = 2 * 1024 * 1024
 KILL_GRACE_S = 5.0
-# Beyond the deadline of a command: to end it, and for the answers to that.
+# Time beyond the deadline of a command, to end it and to wait for the answers.
 GRACE_S = 3 * KILL_GRACE_S
 _WORD = "RTRUN_COMMAND"
 _SECRET = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", re.ASCII)
-# Whatever the login says, nobody else is to write to what is made there. The target draws the secret: what the runner
-# drew would stand in the command line of the user's shell there.
+# Whatever the login sets, others must not write to new files. The target draws the secret: if the runner drew it, the
+# command line of the user's shell would show it.
 _BEGIN = f"umask go-w; read -r {_WORD} </proc/sys/kernel/random/uuid; export {_WORD}; echo $$ ${_WORD}; exec "
 # Not every SSH server starts a command as the leader of a group.
 _KILL = (
@@ -54,7 +54,7 @@ class _FirstLineApart:
 
     @property
     def command(self) -> tuple[int, str] | None:
-        """The process that the line names, and its secret; None: it names none, or has not arrived to its end."""
+        """The process that the line names, and its secret; None: it names none, or is not complete yet."""
         try:
             line = self._line.decode("ascii") if self._is_complete else ""
             number, _, secret = line.partition(" ")
@@ -129,8 +129,8 @@ class SshShell:
         """Run a command, hand what it prints to `take`, and return its exit status and its standard error."""
         deadline = time.monotonic() + deadline_s
         stderr = Collector(OUTPUT_BYTES_MAX)
-        # The first line is the process to kill when time is up: sshd starts each command in a session of its own. By
-        # the secret in its environment it is told from any other of that number.
+        # The first line is the process to kill when time is up: sshd starts each command in a session of its own. The
+        # secret in its environment tells it from any other process of that number.
         stdout = _FirstLineApart(take)
         with self._within(deadline_s + GRACE_S), self._session() as channel:
             channel.settimeout(deadline_s)
@@ -143,7 +143,7 @@ class SshShell:
                     if feed is None:
                         channel.shutdown_write()
                 ended = self._read(channel, deadline, stdout, stderr, feed)
-                # A status that comes as the time is up may stand before output that was not read.
+                # A status that comes just when time is up may precede output that was not read.
                 status = channel.recv_exit_status() if ended and channel.exit_status_ready() else None
             except TooMuch as error:
                 self._kill(stdout.command)
@@ -168,7 +168,7 @@ class SshShell:
     ) -> bool:
         """Read both streams until they end and the exit status is there, or the deadline (monotonic seconds) passes.
 
-        Standard input has what `feed` gives, and ends with None. Return whether the streams ended.
+        Standard input gets what `feed` returns, and ends when that is None. Return whether the streams ended.
         """
         while (remaining_s := deadline - time.monotonic()) > 0:
             if feed is not None:
@@ -179,7 +179,7 @@ class SshShell:
                     elif more:
                         channel.sendall(more)
                 remaining_s = min(remaining_s, POLL_S)
-            # Asked before the buffers: what arrives in between is read in the next turn.
+            # Checked before the buffers, so that data that arrives in between is read in the next turn.
             ended = channel.eof_received or channel.closed
             chunks = (
                 channel.recv(_READ_BYTES) if channel.recv_ready() else b"",
@@ -199,7 +199,7 @@ class SshShell:
         return False
 
     def _kill(self, command: tuple[int, str] | None) -> bool:
-        """Kill what was started with a secret in its environment; return whether that was found, and is killed."""
+        """Kill what was started with this secret in its environment; return whether it was found and killed."""
         if command is None:
             return False
         pid, secret = command
@@ -210,7 +210,7 @@ class SshShell:
                 channel.shutdown_write()
                 return bool(channel.status_event.wait(KILL_GRACE_S)) and channel.exit_status == 0
         except Exception:
-            # As in `_within`; the reason to kill is what the caller reports.
+            # As in `_within`. The caller reports why it wanted to kill.
             return False
 
     @contextlib.contextmanager
@@ -223,7 +223,7 @@ class SshShell:
 
     @contextlib.contextmanager
     def _within(self, seconds: float) -> Iterator[None]:
-        """Give the body a total deadline, and turn what paramiko raises in it into ConnectionLost or TargetError."""
+        """Give the body a total deadline, and turn errors of paramiko into ConnectionLost or TargetError."""
         self.stream.unread_bytes = 0
         with shutting_down(self.stream, seconds) as expired:
             try:
@@ -231,7 +231,7 @@ class SshShell:
             except InfrastructureError:
                 raise
             except Exception as error:
-                # paramiko raises here whatever its reading thread has ended with.
+                # paramiko raises the error that ended its reading thread.
                 if self.stream.is_exceeded:
                     raise TargetError(f"{self.address}: the target sends more than it was asked for") from error
                 if expired.is_set():

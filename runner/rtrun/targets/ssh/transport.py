@@ -28,9 +28,9 @@ from rtrun.targets.ssh.login import HungUp, Refused, log_in, read_keys, unlock
 # Enough to see a silent link die within about 20 s, rare enough not to disturb a measurement.
 KEEPALIVE_S = 10
 USER_TIMEOUT_MS = 20_000
-# AES-GCM needs one pass where CTR with a MAC needs two; ciphers out of date are not offered at all.
+# AES-GCM needs one pass, CTR with a MAC needs two. Outdated ciphers are not offered at all.
 CIPHERS = ("aes128-gcm@openssh.com", "aes256-gcm@openssh.com", "aes128-ctr", "aes192-ctr", "aes256-ctr")
-# The two windows of a channel, of 2 MiB each, and what goes with them.
+# The two windows of a channel, 2 MiB each, and their overhead.
 UNREAD_BYTES_MAX = 5 * 1024 * 1024
 # Connecting takes several steps of `timeout_s` each at most.
 CONNECT_STEPS = 4
@@ -39,15 +39,15 @@ FORBIDDEN = 1
 # paramiko's own timeout comes first, and says more.
 JUMP_GRACE_S = 5.0
 
-# What goes wrong is in our exceptions; paramiko would print a traceback for a board that is still booting.
+# Our exceptions report errors. paramiko would print a traceback for a board that is still booting.
 logging.getLogger("paramiko").addHandler(logging.NullHandler())
 
 
 class LimitedStream:
     """A TCP connection, or a channel through a jump host, that receives a limited number of bytes.
 
-    It receives more once its user says that what came has been read. SSH has windows for the same purpose, but paramiko
-    does not enforce them on the other side.
+    It receives more once its user reports that the data has been read. SSH has windows for the same purpose, but
+    paramiko does not enforce them on the other side.
     """
 
     def __init__(self, carrier: socket.socket | paramiko.Channel, jump: "LimitedStream | None" = None) -> None:
@@ -57,7 +57,7 @@ class LimitedStream:
         self._jump = jump
 
     def recv(self, size: int) -> bytes:
-        """As of a socket, with SSHException once more than UNREAD_BYTES_MAX bytes are unread."""
+        """As of a socket, but raises SSHException once more than UNREAD_BYTES_MAX bytes are unread."""
         self.is_exceeded |= self.unread_bytes > UNREAD_BYTES_MAX
         if self.is_exceeded:
             raise paramiko.SSHException("more arrived than was asked for")
@@ -66,7 +66,7 @@ class LimitedStream:
         if self._jump is not None and isinstance(self.carrier, paramiko.Channel):
             self._jump.unread_bytes -= len(data)
             if not self.carrier.recv_ready():
-                # What is left of the count are the headers of the packets.
+                # The rest of the count is headers of packets.
                 self._jump.unread_bytes = 0
         return data
 
@@ -84,7 +84,7 @@ class LimitedStream:
         self.carrier.settimeout(seconds)
 
     def shut_down(self) -> None:
-        """End whatever waits for this connection: the TCP connection that carries it is shut down."""
+        """Shut down the TCP connection that carries this one, so that every wait for it ends."""
         if self._jump is not None:
             self._jump.shut_down()
         elif isinstance(self.carrier, socket.socket):
@@ -94,20 +94,20 @@ class LimitedStream:
     def close(self) -> None:
         """Close this and the connections to the jump hosts that it goes through. May be called from several threads."""
         if isinstance(self.carrier, paramiko.Channel):
-            # Ends the channel as well. To close the channel first would be to write to what may be closed already.
+            # This ends the channel as well. Closing the channel first would write to a transport that may be closed.
             self.carrier.get_transport().close()
         else:
             self.carrier.close()
 
 
 def connect(address: Address, timeout_s: float) -> tuple[LimitedStream, paramiko.Transport]:
-    """Connect, check the host key and log in; the same at the jump host before, if there is one.
+    """Connect, check the host key and log in; if there is a jump host, first do the same there.
 
     Raises ConnectionLost when another attempt may succeed, TargetError otherwise.
     """
     known = read_host_keys(address)
     keys = read_keys(address)
-    # A fingerprint does not say of which type its key is: the types whose keys were shown and are others.
+    # A fingerprint does not tell the type of its key. These are the types whose keys were shown and did not match.
     excluded: set[str] = set()
     unaccepted: UnacceptedHostKey | None = None
     while True:
@@ -115,7 +115,7 @@ def connect(address: Address, timeout_s: float) -> tuple[LimitedStream, paramiko
         transport: paramiko.Transport | None = None
         try:
             with shutting_down(stream, CONNECT_STEPS * timeout_s):
-                # It uses no more of a socket than a LimitedStream has.
+                # paramiko uses no more of a socket than a LimitedStream has.
                 transport = paramiko.Transport(cast("socket.socket", stream))
                 _choose_algorithms(transport, known, excluded)
                 transport.banner_timeout = transport.auth_timeout = timeout_s
@@ -141,12 +141,12 @@ def connect(address: Address, timeout_s: float) -> tuple[LimitedStream, paramiko
                 continue
             if not isinstance(error, Exception) or isinstance(error, InfrastructureError):
                 raise
-            # With every type of key that was shown left out nothing may remain to agree on.
+            # Once every type of key that was shown is left out, there may be none left to agree on.
             raise unaccepted or ConnectionLost(f"{address}: SSH did not come up: {reason(error)}") from error
 
 
 def ask_host_key(address: Address, timeout_s: float) -> tuple[str, bytes]:
-    """Return type and public key that a server shows. Nobody has checked it: it is for a user to compare.
+    """Return type and public key that a server shows. The key is not checked: the user has to compare it.
 
     Raises ConnectionLost, and as `connect` does for the jump host before the server.
     """
@@ -162,7 +162,7 @@ def ask_host_key(address: Address, timeout_s: float) -> tuple[str, bytes]:
             finally:
                 transport.close()
     except Exception as error:
-        # paramiko raises here whatever its reading thread has ended with.
+        # paramiko raises the error that ended its reading thread.
         raise ConnectionLost(f"{address}: SSH did not come up: {reason(error)}") from error
     finally:
         stream.close()
@@ -206,7 +206,7 @@ def _reach_through(jump: Address, address: Address, timeout_s: float) -> Limited
 def _choose_algorithms(transport: paramiko.Transport, known: HostKeys, excluded: Container[str]) -> None:
     options = transport.get_security_options()
     options.ciphers = tuple(cipher for cipher in CIPHERS if cipher in options.ciphers)
-    # Ask for the types of key that can be checked first: a server has several, and would show another.
+    # Ask first for the types of key that can be checked: a server has several, and might show another one.
     plain = options.key_types
     checkable = [name for name in known.types if name.removesuffix(CERTIFICATE) in plain]
     options.key_types = tuple(name for name in dict.fromkeys((*checkable, *plain)) if base_type(name) not in excluded)
@@ -214,7 +214,7 @@ def _choose_algorithms(transport: paramiko.Transport, known: HostKeys, excluded:
 
 @contextlib.contextmanager
 def shutting_down(stream: LimitedStream, seconds: float) -> Iterator[threading.Event]:
-    """Shut the stream down when the body takes longer, so that whatever waits in it ends; the event tells."""
+    """Shut the stream down if the body takes longer, so that every wait in it ends; then the event is set."""
     expired = threading.Event()
 
     def expire() -> None:
@@ -231,5 +231,5 @@ def shutting_down(stream: LimitedStream, seconds: float) -> Iterator[threading.E
 
 
 def reason(error: Exception) -> str:
-    """What an exception of paramiko says, which may be nothing but its type."""
+    """The text of an exception of paramiko, or its type if it has no text."""
     return str(error) or type(error).__name__
