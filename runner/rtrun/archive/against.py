@@ -18,7 +18,7 @@ from rtrun.archive.store import Store, make_archive
 from rtrun.archive.tables import Origin
 from rtrun.archive.trends import changed_facts
 from rtrun.judgement.gate import Case, Gate, why_not_accepted
-from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import Measure
 from rtrun.plan.suites import ALLOCATIONS
 from rtrun.targets.inspection.platform import Platform
 

@@ -15,7 +15,7 @@ from rtrun.analysis.order.change_points import Floats, means_of_units
 from rtrun.archive.notes import AcceptNote, KnownNote
 from rtrun.archive.queries import Point, figures
 from rtrun.archive.runs import Archive, RunRow
-from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import Measure
 
 Figure = Literal["p50", "p99", "p99.9", "P(miss)"]
 """The figures compared with history: those that a single late value does not decide."""

@@ -16,9 +16,8 @@ from rtrun.archive import By
 from rtrun.archive.bins import BinReader, Bins, figures_of_bins, merged
 from rtrun.archive.runs import Archive, RunRow
 from rtrun.archive.store import Store
-from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import called
-from rtrun.kinds.lateness import judged
+from rtrun.kinds.lateness import Measure, judged
 from rtrun.kinds.limits import BINS_MAX
 from rtrun.plan.suites import measures
 

@@ -4,8 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from rtrun.kinds.kind import Measure
-from rtrun.kinds.lateness import JITTER, judged
+from rtrun.kinds.lateness import JITTER, Measure, judged
 from rtrun.kinds.values import Int64s
 from rtrun.plan.suites import Value, kind_of, measures
 from rtrun.plan.trace import SERIES

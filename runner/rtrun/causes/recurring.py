@@ -8,7 +8,7 @@ import numpy as np
 
 from rtrun.analysis.order.recurrence import Recurrence, counts_tried, find_recurrence
 from rtrun.causes.measured import read_measured
-from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import Measure
 from rtrun.kinds.values import Int64s
 from rtrun.results.record import RunRecord
 

@@ -12,7 +12,7 @@ from pydantic import Field
 from rtfiles.config import Config, read_json
 from rtrun.analysis.order.coincidence import LEAST_INTERVALS, Floats, find_coincidences
 from rtrun.causes.measured import Measured, read_measured
-from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import Measure
 from rtrun.kinds.values import Int64s
 from rtrun.results.record import RunRecord, check_file
 from rtrun.targets.inspection.facts import TargetState

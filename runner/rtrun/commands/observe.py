@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 from rtrun.commands._arguments import add_target
 from rtrun.commands._question import argument, time_argument
-from rtrun.plan.observation import read_path, read_stream_deadline
 
 if TYPE_CHECKING:
     from rtrun.execution.observation import Watched
     from rtrun.execution.ros_graph import RosGraph
     from rtrun.plan.campaign import Campaign
+    from rtrun.plan.observation import StreamDeadline
     from rtrun.plan.run import Run
     from rtrun.targets.config import TargetConfig
 
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="say what runs there and can be measured; measure nothing")
     parser.add_argument(
         "--deadline",
-        type=argument(read_stream_deadline),
+        type=argument(_read_deadline),
         action="append",
         default=[],
         metavar="STREAM=TIME",
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--path",
-        type=argument(read_path),
+        type=argument(_read_path),
         action="append",
         default=[],
         metavar="/A,/B",
@@ -66,6 +66,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--perfetto", type=Path, metavar="FILE", help="write messages and callbacks for ui.perfetto.dev"
     )
+
+
+def _read_deadline(text: str) -> "StreamDeadline":
+    from rtrun.plan.observation import read_stream_deadline
+
+    return read_stream_deadline(text)
+
+
+def _read_path(text: str) -> tuple[str, ...]:
+    from rtrun.plan.observation import read_path
+
+    return read_path(text)
 
 
 def _read_trace(text: str) -> str:

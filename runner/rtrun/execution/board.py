@@ -58,7 +58,7 @@ class Session:
     needed: Sequence[Run]
     """The chosen runs that are not finished yet; with rounds, all of them."""
     finished: Mapping[str, RunStatus]
-    """All chosen runs as OK, by name, which `statuses` overrides; with rounds, empty."""
+    """What the chosen runs were before this call, by name: OK or INCOMPLETE; with rounds, empty."""
     results: Path
     variants: Mapping[str, Variant]
     now: Clock

@@ -116,6 +116,7 @@ def _session(
         if rounds is None:
             needed = [run for _, run in _unfinished(results, chosen)]
             finished = {run.name: RunStatus.OK for run in chosen}
+            finished |= {run.name: RunStatus.INCOMPLETE for run in needed}
             if 0 < len(needed) < len(chosen):
                 observer.note(f"going on in {results}: {len(chosen) - len(needed)} of {len(chosen)} runs are finished")
         owners = log.owners()

@@ -12,8 +12,8 @@ from rtrun.analysis.dependence.blocks import Blocks, add_outputs
 from rtrun.analysis.histogram import Histogram, merge
 from rtrun.analysis.tails.extreme_values import Bound
 from rtrun.judgement.digest import JudgedDigest
-from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import MAIN_ONLY_IN_2014
+from rtrun.kinds.lateness import Measure
 from rtrun.plan.observation import stream_words
 from rtrun.plan.question import Question
 from rtrun.plan.suites import NOT_TELLING, Value, measures, options, telling_parameters

@@ -4,13 +4,10 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
+from rtrun.kinds.lateness import Measure
 from rtrun.kinds.rows import Columns, Stated
 from rtrun.kinds.values import IndexedValues, Int64s
-
-Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reaction", "response", "age"]
-"""What a suite measures."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -1,7 +1,8 @@
 """All kinds of measurement, by their names in suites.yml."""
 
 from rtrun.kinds import age, callback, cyclic, interval, messages, oneshot, path, response, timer
-from rtrun.kinds.kind import LogForm, Measure, MeasurementKind, StreamKind
+from rtrun.kinds.kind import LogForm, MeasurementKind, StreamKind
+from rtrun.kinds.lateness import Measure
 
 KINDS: dict[str, MeasurementKind] = {
     "oneshot": oneshot.KIND,

@@ -6,15 +6,16 @@ end is a miss as soon as it was open for longer than the deadline.
 """
 
 from collections.abc import Sequence
-from typing import Literal
-
-import numpy as np
+from typing import TYPE_CHECKING, Literal
 
 from rtfiles.errors import UsageError
 from rtfiles.output import counted
-from rtrun.kinds.kind import Measure
-from rtrun.kinds.values import Bools, Int64s
 
+if TYPE_CHECKING:
+    from rtrun.kinds.values import Bools, Int64s
+
+Measure = Literal["latency", "lateness", "jitter", "duration", "interval", "reaction", "response", "age"]
+"""What a suite measures."""
 Of = Literal["lateness", "jitter"]
 """The values that a question may name. Lateness is how late something came that was due: a latency is a lateness."""
 LATENESS: Of = "lateness"
@@ -40,9 +41,9 @@ def is_late(value_ns: int, deadline_ns: int) -> bool:
     return value_ns > deadline_ns
 
 
-def are_late(values_ns: Int64s, deadline_ns: int, width_ns: Int64s | int = 1) -> Bools:
+def are_late(values_ns: "Int64s", deadline_ns: int, width_ns: "Int64s | int" = 1) -> "Bools":
     """Which values are late, shape (n,); for bins, given by lower edges and width, which may contain late values."""
-    return np.asarray(values_ns > deadline_ns - width_ns + 1)
+    return values_ns > deadline_ns - width_ns + 1
 
 
 def absent_in_words(number: int, of: Measure | None) -> str:

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from rtfiles.quantities import grouped, time
-from rtrun.kinds.kind import Measure
-from rtrun.kinds.lateness import LATENESS
+from rtrun.kinds.lateness import LATENESS, Measure
 
 # The most consecutive loops that a tolerance may cover: a second at 1 kHz.
 AMONG_MAX = 1000

@@ -16,9 +16,9 @@ from pydantic import AfterValidator, Field
 from rtfiles.config import Config, load_own
 from rtfiles.errors import UsageError
 from rtfiles.wording import did_you_mean, unknown
-from rtrun.kinds.kind import Measure, MeasurementKind
+from rtrun.kinds.kind import MeasurementKind
 from rtrun.kinds.known import KINDS, called
-from rtrun.kinds.lateness import judged
+from rtrun.kinds.lateness import Measure, judged
 from rtrun.kinds.limits import CPU_DMA_LATENCY_MAX_US, PID_MAX, RT_PRIORITY_MAX
 from rtrun.plan.middleware.description import DEFAULT, NONE, middleware_names, middlewares
 from rtrun.plan.quantities import INTERVAL_MAX_US

@@ -18,7 +18,7 @@ from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
 from rtrun.causes.steps import Step
 from rtrun.causes.surroundings import find_unusual
-from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import Measure
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record

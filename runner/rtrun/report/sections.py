@@ -7,8 +7,7 @@ from rtrun.judgement.influence import influences
 from rtrun.judgement.layers import LayerPair
 from rtrun.judgement.study import Study
 from rtrun.judgement.topologies import MeasuredTopology
-from rtrun.kinds.kind import Measure
-from rtrun.kinds.lateness import LATENESS
+from rtrun.kinds.lateness import LATENESS, Measure
 from rtrun.report import causes, influence, layers
 from rtrun.report.late_paths import late_paths
 from rtrun.report.ranking import ranking

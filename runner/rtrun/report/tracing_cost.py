@@ -12,7 +12,7 @@ from rtrun.causes.measured import traced_series
 from rtrun.judgement.compare import Changed, compare_studies
 from rtrun.judgement.sides import names_of_sides, split
 from rtrun.judgement.study import Study, study
-from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import Measure
 from rtrun.plan.question import Question
 from rtrun.plan.run import UNTRACED
 from rtrun.plan.suites import measures

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtfiles.errors import UsageError
-from rtrun.kinds.kind import Measure
+from rtrun.kinds.lateness import Measure
 from rtrun.plan.suites import log_names, period_of
 from rtrun.plan.trace import WARM_UP
 from rtrun.results.gnuplot_log import read_log

@@ -13,8 +13,8 @@ import numpy as np
 
 from rtfiles.config import read_json
 from rtfiles.errors import UsageError
-from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import called
+from rtrun.kinds.lateness import Measure
 from rtrun.kinds.values import IndexedValues, Int64s
 from rtrun.plan.suites import described_suites, kind_of, suite
 from rtrun.results.output import Record

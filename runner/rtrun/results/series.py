@@ -14,9 +14,8 @@ from rtfiles.errors import UsageError
 from rtfiles.output import printable
 from rtrun.analysis.figures import Figures, IndexedValue, figures_of_histogram, figures_of_samples
 from rtrun.analysis.histogram import Histogram
-from rtrun.kinds.kind import Measure
 from rtrun.kinds.known import MAIN_2014, called, startup_loops
-from rtrun.kinds.lateness import judged
+from rtrun.kinds.lateness import Measure, judged
 from rtrun.kinds.values import Int64s
 from rtrun.plan.suites import Value, measures, period_of, suite
 from rtrun.results.output import InEffect
