@@ -14,7 +14,7 @@ from rtfiles.untrusted import parse_json, whole_number
 from rtrun.analysis.histogram import Histogram
 from rtrun.kinds.limits import COUNT_MAX
 
-NO_INTERVAL = "the interval"
+NO_INTERVAL = "the interval: a proof takes it for 1 ms; --interval states it"
 NO_ORDER = "the order of the measurements: bursts and trends cannot be seen"
 MAX_BINS = 1_000_000  # with values, in all histograms of a file; cyclictest has at most as many
 _KEY = re.compile(r"0|[1-9][0-9]{0,14}", re.ASCII)  # as %u prints it: different keys are different numbers
