@@ -6,6 +6,7 @@ Each ends one that asked for 8 s after some rounds, on real programs with real p
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -277,8 +278,10 @@ def test_a_disk_that_others_fill_meanwhile(tmp_path, standin, monkeypatch, capsy
 
     try:
         status, records = observe(tmp_path, "kind: local\n", standin, act=fill, results=disk)
-        assert status == 3 and len(records) < 4
-        assert records["001"]["status"] == "incomplete" and "cannot keep the results" in records["001"]["reason"]
+        # How many streams fit is up to how many messages came.
+        reason = records["001"]["reason"]
+        assert status == 3 and re.search(r"\d streams? not kept: .*cannot keep the results", reason), reason
+        assert records["001"]["status"] == "incomplete"
         assert records["001"]["coverage"]["seen_ns"] > 2 * S
         # A disk that is full already is reported before anything is observed.
         capsys.readouterr()
