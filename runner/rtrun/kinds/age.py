@@ -1,9 +1,7 @@
 """Ages: how old the data at the end of a path of topics is."""
 
-from functools import partial
-
-from rtrun.kinds.kind import MeasurementKind, StreamKind
-from rtrun.kinds.spans import series, times
+from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.spans import kind_of_spans
 
 STREAM = StreamKind(
     word="age",
@@ -15,10 +13,4 @@ STREAM = StreamKind(
     at="end_ns",
     is_of_topologies=True,
 )
-KIND = MeasurementKind(
-    series=partial(series, "age"),
-    called={"age": "age"},
-    times=times,
-    subject="along the path",
-    stream=STREAM,
-)
+KIND = kind_of_spans("age", "along the path", STREAM)

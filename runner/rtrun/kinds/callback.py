@@ -1,9 +1,7 @@
 """Callbacks: how long one took."""
 
-from functools import partial
-
-from rtrun.kinds.kind import MeasurementKind, StreamKind
-from rtrun.kinds.spans import series, times
+from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.spans import kind_of_spans
 
 STREAM = StreamKind(
     word="callback",
@@ -17,11 +15,4 @@ STREAM = StreamKind(
     overdue="a call began {} ago and has not ended",
     is_traced=True,
 )
-KIND = MeasurementKind(
-    series=partial(series, "duration"),
-    called={"duration": "duration"},
-    times=times,
-    subject="of the callback",
-    stream=STREAM,
-    is_of_callbacks=True,
-)
+KIND = kind_of_spans("duration", "of the callback", STREAM, is_of_callbacks=True)

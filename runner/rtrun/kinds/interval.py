@@ -6,8 +6,8 @@ import numpy as np
 
 from rtfiles.errors import UsageError
 from rtrun.kinds.kind import MeasurementKind, StreamKind
-from rtrun.kinds.rows import Columns, Stated, agree, check_times, not_come, within_segments
-from rtrun.kinds.values import IndexedValues, Int64s
+from rtrun.kinds.rows import Columns, Stated, agree, check_times, not_come, times_in, within_segments
+from rtrun.kinds.values import IndexedValues
 
 
 def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
@@ -23,10 +23,6 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
     return {"interval": IndexedValues(values_ns=values, index=row, absent=absent)}
 
 
-def _times(columns: Columns, values: IndexedValues) -> Int64s:
-    return np.asarray(columns["timestamp_ns"][values.index])
-
-
 STREAM = StreamKind(
     word="interval",
     suite="observed_intervals",
@@ -40,5 +36,9 @@ STREAM = StreamKind(
     overdue="no message in the last {}, though its program lives",
 )
 KIND = MeasurementKind(
-    series=_series, called={"interval": "interval"}, times=_times, subject="between messages", stream=STREAM
+    series=_series,
+    called={"interval": "interval"},
+    times=times_in("timestamp_ns"),
+    subject="between messages",
+    stream=STREAM,
 )

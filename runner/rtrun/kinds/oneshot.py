@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from rtrun.kinds.kind import LogForm, MeasurementKind
-from rtrun.kinds.rows import Columns, Stated, agree, check_times
-from rtrun.kinds.values import IndexedValues, Int64s
+from rtrun.kinds.rows import Columns, Stated, agree, check_times, times_in
+from rtrun.kinds.values import IndexedValues
 
 NOT_FIRED_NS = -(2**63)
 
@@ -33,14 +33,10 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
     return {name: IndexedValues(values_ns=column, index=index, absent=absent) for name, column in values.items()}
 
 
-def _times(columns: Columns, values: IndexedValues) -> Int64s:
-    return np.asarray(columns["end_ns"][values.index])
-
-
 KIND = MeasurementKind(
     series=_series,
     called={"measured": "latency", "measured_2014": "latency"},
-    times=_times,
+    times=times_in("end_ns"),
     subject="of the timer",
     layer_below="cyclictest",
     logs=LogForm(

@@ -1,9 +1,7 @@
 """Paths: how long after the first topic of a path its last topic reacted."""
 
-from functools import partial
-
-from rtrun.kinds.kind import MeasurementKind, StreamKind
-from rtrun.kinds.spans import series, times
+from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.spans import kind_of_spans
 
 STREAM = StreamKind(
     word="path",
@@ -17,10 +15,4 @@ STREAM = StreamKind(
     is_shown=True,
     is_traced=True,
 )
-KIND = MeasurementKind(
-    series=partial(series, "reaction"),
-    called={"reaction": "reaction"},
-    times=times,
-    subject="along the path",
-    stream=STREAM,
-)
+KIND = kind_of_spans("reaction", "along the path", STREAM)

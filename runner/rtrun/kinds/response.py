@@ -1,9 +1,7 @@
 """Responses: how long after its due time a node of a topology had done its work."""
 
-from functools import partial
-
-from rtrun.kinds.kind import MeasurementKind, StreamKind
-from rtrun.kinds.spans import series, times
+from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.spans import kind_of_spans
 
 STREAM = StreamKind(
     word="response",
@@ -15,10 +13,4 @@ STREAM = StreamKind(
     at="end_ns",
     is_of_topologies=True,
 )
-KIND = MeasurementKind(
-    series=partial(series, "response"),
-    called={"response": "response"},
-    times=times,
-    subject="of the node",
-    stream=STREAM,
-)
+KIND = kind_of_spans("response", "of the node", STREAM)

@@ -1,6 +1,6 @@
 """What the kinds share: checks of the rows of samples against the counts, and against the possible range of times."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rtfiles.errors import UsageError
 from rtrun.kinds.limits import TIME_MAX_NS, WALL_TIME_MAX_NS
-from rtrun.kinds.values import Int64s, pieces
+from rtrun.kinds.values import IndexedValues, Int64s, pieces
 
 Columns = Mapping[str, Int64s]
 
@@ -92,3 +92,8 @@ def without(present: Int64s, number: int) -> Int64s:
     absent = np.ones(number, dtype=bool)
     absent[present] = False
     return np.flatnonzero(absent).astype(np.int64)
+
+
+def times_in(column: str) -> Callable[[Columns, IndexedValues], Int64s]:
+    """When values were measured whose index is their row, by this column."""
+    return lambda columns, values: np.asarray(columns[column][values.index])

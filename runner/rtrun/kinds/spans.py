@@ -1,15 +1,18 @@
 """Spans: what kinds share if their values have a begin and an end."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from rtfiles.errors import UsageError
-from rtrun.kinds.rows import MAX_ABSENT, Columns, Stated, agree, check_times
-from rtrun.kinds.values import IndexedValues, Int64s
+from rtrun.kinds.kind import MeasurementKind, StreamKind
+from rtrun.kinds.lateness import Measure
+from rtrun.kinds.rows import MAX_ABSENT, Columns, Stated, agree, check_times, times_in
+from rtrun.kinds.values import IndexedValues
 
 
-def series(name: str, columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
+def _series(name: str, columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
     begin, end = columns["begin_ns"], columns["end_ns"]
     check_times(path, begin, end)
     agree(path, "measured", len(begin), stated.measured)
@@ -24,5 +27,15 @@ def series(name: str, columns: Columns, stated: Stated, path: Path) -> dict[str,
     return {name: IndexedValues(values_ns=values, index=np.arange(values.size), absent=absent)}
 
 
-def times(columns: Columns, values: IndexedValues) -> Int64s:
-    return np.asarray(columns["end_ns"][values.index])
+def kind_of_spans(
+    measure: Measure, subject: str, stream: StreamKind, *, is_of_callbacks: bool = False
+) -> MeasurementKind:
+    """A kind whose one series, by the name of its measure, is how long its spans took."""
+    return MeasurementKind(
+        series=partial(_series, measure),
+        called={measure: measure},
+        times=times_in("end_ns"),
+        subject=subject,
+        stream=stream,
+        is_of_callbacks=is_of_callbacks,
+    )

@@ -14,6 +14,7 @@ from rtrun.kinds.rows import (
     check_times,
     check_wall_times,
     not_come,
+    times_in,
     within_segments,
     without,
 )
@@ -58,10 +59,6 @@ def _period_ns(stated: Stated, path: Path) -> int:
     return period_ns
 
 
-def _times(columns: Columns, values: IndexedValues) -> Int64s:
-    return np.asarray(columns["timestamp_ns"][values.index])
-
-
 STREAM = StreamKind(
     word="timer",
     suite="observed_timers",
@@ -83,7 +80,7 @@ STREAM = StreamKind(
 KIND = MeasurementKind(
     series=_series,
     called={"lateness": "lateness", "jitter": "jitter"},
-    times=_times,
+    times=times_in("timestamp_ns"),
     subject="of the timer",
     stream=STREAM,
 )

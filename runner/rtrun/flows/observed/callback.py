@@ -1,7 +1,8 @@
 """Callbacks: when each began and ended."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -14,16 +15,17 @@ from rtrun.kinds.callback import STREAM as STREAM
 
 
 def sources(observed: FlowAccumulator) -> Iterator["CallbackSource"]:
-    running = dict(observed.open_calls())
-    return (CallbackSource(log, observed, running.get(log)) for log in observed.calls.callbacks.values())
+    # All threads are searched for it, once, and only for whole streams: live figures do not ask.
+    running = cache(lambda: dict(observed.open_calls()))
+    return (CallbackSource(log, observed, running) for log in observed.calls.callbacks.values())
 
 
 @dataclass(frozen=True, slots=True)
 class CallbackSource:
     record: CallbackLog
     observed: FlowAccumulator
-    running_since_ns: int | None
-    """When it began; None: it does not run."""
+    running: Callable[[], Mapping[CallbackLog, int]]
+    """When each running callback began."""
 
     @property
     def name(self) -> str:
@@ -52,7 +54,8 @@ class CallbackSource:
         return spans_since(self.record.rows, row)
 
     def _unended_ns(self) -> int:
-        if self.running_since_ns is None:
+        since_ns = self.running().get(self.record)
+        if since_ns is None:
             return 0
         longest_ns = max((int(np.diff(piece).max()) for piece in self.record.rows.pieces()), default=0)
-        return stalled_ns(self.running_since_ns, longest_ns, self.observed)
+        return stalled_ns(since_ns, longest_ns, self.observed)

@@ -74,9 +74,9 @@ class TimerSource:
         log, offsets = self.record, self.observed.offsets
         rows = len(log.rows)
         begin = max(row, rows - _WAITING_MAX)
-        at, expected = log.rows.read(begin).T
         if log.clock is None or log.period_ns is None:
             return Growth(rows, no_values(), no_values(), rows)
+        at, expected = log.rows.read(begin).T
         settled = rows
         known = expected != NOT_SEEN_NS
         if log.clock != HITS_CLOCK:
