@@ -47,12 +47,12 @@ class ActiveRun:
     @property
     def measuring(self) -> list[str]:
         """The names of the programs that measure: once they run, the target goes on by itself."""
-        return [program.name for program in self.programs.measuring]
+        return [program.name for program in self.programs.subject.measuring]
 
     @property
     def setup(self) -> str | None:
         """The shell file that sets up what its programs need."""
-        if self.programs.system is not None:
+        if self.programs.subject.system is not None:
             return self.prepared.setup or self.link.target.setup
         return self.prepared.setup_of(self.run.middleware)
 

@@ -99,9 +99,9 @@ def _judge(work: ActiveRun, partial: Path, attempt: Attempt, end: RunEnd, refuse
     verdict = judge(
         partial,
         work.run,
-        work.programs.of_suite,
-        end.exits if work.programs.of_suite else (),
-        work.programs.outputs,
+        work.programs.subject.of_suite,
+        end.exits if work.programs.subject.of_suite else (),
+        work.programs.subject.outputs,
         refused=refused,
         background=work.programs.background,
         ended_early=end.ended_early,
@@ -141,7 +141,7 @@ def _program_record(
 def _built_with(work: ActiveRun) -> dict[str, Any]:
     """The target's fact about what the suites were built with, if they were built there."""
     built = f"{work.link.target.work_dir / building.BUILT}/"
-    used = any(program.argv[0].startswith(built) for program in work.programs.foreground)
+    used = any(program.argv[0].startswith(built) for program in work.programs.subject.foreground)
     return {"suites_built_with": dict(work.prepared.equipment.built_with)} if used else {}
 
 
@@ -155,7 +155,7 @@ def _record(
     now: Clock,
 ) -> RunRecord:
     run, target = work.run, work.link.target
-    outputs = list(work.programs.outputs)
+    outputs = list(work.programs.subject.outputs)
     if suites.suite(run.suite).is_baseline and verdict.status is RunStatus.OK:
         outputs = baselines.keep_histograms(partial, run, suites.output_name(run.suite, run.parameters))
     record = RunRecord(
@@ -183,7 +183,7 @@ def _record(
         end_time=now().isoformat(),
         programs=[
             _program_record(partial, program.name, attempt.argv[program.name], exit_, verdict.heads.get(program.name))
-            for program, exit_ in zip(work.programs.foreground, end.exits, strict=True)
+            for program, exit_ in zip(work.programs.subject.foreground, end.exits, strict=True)
         ],
         outputs=outputs,
         refused=dict(refused),

@@ -48,14 +48,10 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
     limits |= {f"{program.name}.cgroups": download.CGROUPS_LIMIT_BYTES for program in planned.foreground}
     limits[SAMPLER_OUTPUT] = output_bytes_max(sampler.deadline_s)
     return RunPrograms(
-        system=planned.system,
-        stages=planned.stages,
+        subject=planned,
         background=tuple(background),
         sampler=None if run.settings.get(conditions.SAMPLER) else sampler,
-        outputs=planned.outputs,
         file_limits=limits
         | dict.fromkeys(program_json.values(), download.JSON_LIMIT_BYTES)
         | dict(planned.file_limits),
-        texts=planned.texts,
-        need_one_another=planned.need_one_another,
     )

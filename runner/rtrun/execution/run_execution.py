@@ -163,7 +163,7 @@ def _close(work: ActiveRun, attempt: Attempt, end: RunEnd, aftermath: Aftermath,
 def _resume(work: ActiveRun, life: RunLife) -> Attempt | None:
     """Return the attempt of an earlier call that can be picked up, or make room for a new one and return None."""
     others = [*work.programs.load_names, *work.programs.other_names]
-    foreground = [program.name for program in work.programs.foreground]
+    foreground = [program.name for program in work.programs.subject.foreground]
     leftovers = resumption.inspect_leftovers(work.link, work.remote, foreground, others)
     if leftovers.can_be_picked_up(work.measuring, run_directory.closing_record(work.folder)):
         life.move(RunEvent.PICK_UP)
@@ -191,7 +191,7 @@ def _why_left(work: ActiveRun, leftovers: Leftovers) -> str:
 
 def _give_up(work: ActiveRun) -> None:
     """End everything of the run that still lives, and remove its folder on the target."""
-    if work.programs.system is not None:
+    if work.programs.subject.system is not None:
         system.end(work.link, work.remote)
     processes.give_up(work.link, work.remote, work.programs.names)
 
@@ -238,10 +238,10 @@ def _begin(work: ActiveRun, now: Clock) -> Attempt:
         start_time=start_time.isoformat(),
         service=service,
         own_service=work.run.middleware in work.prepared.own_services,
-        argv={program.name: program.argv for program in work.programs.foreground},
+        argv={program.name: program.argv for program in work.programs.subject.foreground},
         state_script=state_script,
     )
-    for name, text in work.programs.texts.items():
+    for name, text in work.programs.subject.texts.items():
         words = [str(work.remote / name), str(len(text.encode()))]
         work.link.check(["sh", "-c", _PUT, "sh", *words], stdin=text)
     return attempt
@@ -268,12 +268,12 @@ def _end_background(work: ActiveRun, measured: MeasuringEnd, not_started: str | 
     ended = processes.end_background(
         work.link,
         work.remote,
-        work.programs.suite_names,
+        work.programs.subject.suite_names,
         work.programs.load_names,
         work.programs.other_names,
         service=measured.service,
         # The sampler must not see the loads end, and in an observation nothing else marks the end of measuring.
-        first=[work.programs.sampler.name] if work.programs.sampler and not work.programs.of_suite else [],
+        first=[work.programs.sampler.name] if work.programs.sampler and not work.programs.subject.of_suite else [],
         then=[["sh", str(state_script)], ["echo", _FILES], download.listing(work.remote, limits)],
     )
     state, _, listed = ended.output.partition(f"{_FILES}\n")

@@ -29,27 +29,6 @@ class SubjectPrograms:
     need_one_another: bool = False
 
     @property
-    def foreground(self) -> tuple[Program, ...]:
-        """All programs of the subject."""
-        return (*(program for stage in self.stages for program in stage), *([self.system] if self.system else []))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunPrograms:
-    """What runs on the target for one run."""
-
-    system: Program | None
-    stages: tuple[tuple[Program, ...], ...]
-    background: tuple[conditions.Background, ...]
-    sampler: Program | None
-    """Observes all programs; None: the campaign has switched it off."""
-    outputs: tuple[str, ...]
-    file_limits: Mapping[str, int]
-    """The files that the run may write, and the largest plausible size of each, in bytes."""
-    texts: Mapping[str, str]
-    need_one_another: bool
-
-    @property
     def measuring(self) -> tuple[Program, ...]:
         """The programs that start last; nothing is measured before."""
         return self.stages[-1] if self.stages else ()
@@ -66,13 +45,25 @@ class RunPrograms:
 
     @property
     def foreground(self) -> tuple[Program, ...]:
-        """All programs that do not run in the background."""
+        """All of them."""
         return self.of_suite if self.system is None else (self.system,)
 
     @property
     def suite_names(self) -> list[str]:
         """The names of the suite's programs."""
         return [program.name for program in self.of_suite]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunPrograms:
+    """What runs on the target for one run."""
+
+    subject: SubjectPrograms
+    background: tuple[conditions.Background, ...]
+    sampler: Program | None
+    """Observes all programs; None: the campaign has switched it off."""
+    file_limits: Mapping[str, int]
+    """The files that the run may write, and the largest plausible size of each, in bytes."""
 
     @property
     def load_names(self) -> list[str]:
@@ -88,7 +79,7 @@ class RunPrograms:
     @property
     def names(self) -> list[str]:
         """The names of all programs."""
-        return [*(program.name for program in self.foreground), *self.load_names, *self.other_names]
+        return [*(program.name for program in self.subject.foreground), *self.load_names, *self.other_names]
 
 
 def environment_of(prepared: Prepared, middleware: str) -> tuple[tuple[str, str], ...]:

@@ -43,11 +43,11 @@ def start(work: ActiveRun, life: RunLife, start_background: Callable[[], None]) 
 def _start_system(work: ActiveRun) -> str | None:
     """Start the user's system if the run names one, and wait until it is ready; return why it is not."""
     link, scripts, asked = work.link, work.prepared.scripts, _plan_of(work.run)
-    starts_system = work.programs.system is not None
-    if work.programs.system is not None:
-        processes.start(link, scripts, work.remote, work.programs.system, setup=work.setup)
+    own = work.programs.subject.system
+    if own is not None:
+        processes.start(link, scripts, work.remote, own, setup=work.setup)
     # After a restart of the target the system may still be starting. An attending user knows that.
-    is_at_once = work.onlooker.is_attended and not starts_system
+    is_at_once = work.onlooker.is_attended and own is None
     not_ready = system.wait_ready(link, scripts, work.remote, asked, deadline_s=0.0 if is_at_once else system.READY_S)
     if not_ready and is_at_once:
         raise TargetError(f"{link.target.address}: {not_ready}")
@@ -70,11 +70,11 @@ def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) ->
         aftermath.observed, aftermath.cut_off = observed, observed.cut_off
         work.onlooker.on_end(observed)
         with aftermath.keeping():
-            if work.programs.system and (ended := system.end_of(link, work.remote)):
+            if work.programs.subject.system and (ended := system.end_of(link, work.remote)):
                 failure = f"the system ended while it was observed, {ended}"
-    exits = [Exit(status=None, expired=False) for _ in work.programs.foreground]
+    exits = [Exit(status=None, expired=False) for _ in work.programs.subject.foreground]
     with aftermath.keeping():
-        if work.programs.system:
+        if work.programs.subject.system:
             exits = [system.end(link, work.remote)]
     with aftermath.keeping():
         life.move(RunEvent.END)

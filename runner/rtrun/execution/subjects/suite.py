@@ -76,16 +76,16 @@ def _start_stages(work: ActiveRun, life: RunLife) -> str | None:
     Return why the rest was not started: a program that the rest needs has ended.
     """
     link, remote = work.link, work.remote
-    first, *later = work.programs.stages
+    first, *later = work.programs.subject.stages
 
     def start(*programs: Program, stage: Sequence[Program]) -> None:
-        if stage is work.programs.measuring:
+        if stage is work.programs.subject.measuring:
             life.move(RunEvent.LAUNCH)
         processes.start(link, work.prepared.scripts, remote, *programs, setup=work.setup)
 
     start(*([work.programs.sampler] if work.programs.sampler else []), *first, stage=first)
     for stage in later:
-        names = [program.name for program in work.programs.awaited]
+        names = [program.name for program in work.programs.subject.awaited]
         _wait_ready(work, names)
         if ended := processes.list_ended(link, remote, names):
             # The run has failed. The publisher would not notice, and would take as long as if all were there.
@@ -119,18 +119,18 @@ def _last_word(work: ActiveRun, name: str) -> str:
 def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) -> MeasuringEnd:
     """Wait for the programs of the suite."""
     link, failure = work.link, None
-    awaited = [program.name for program in work.programs.awaited]
+    awaited = [program.name for program in work.programs.subject.awaited]
     exits = []
-    for program in work.programs.of_suite:
+    for program in work.programs.subject.of_suite:
         needed = [] if failure or program.name in awaited else awaited
-        if work.programs.need_one_another and not failure:
-            needed = [name for name in work.programs.suite_names if name != program.name]
+        if work.programs.subject.need_one_another and not failure:
+            needed = [name for name in work.programs.subject.suite_names if name != program.name]
         deadline_s = program.deadline_s + END_GRACE_S
         ended = processes.wait(link, work.remote, program.name, deadline_s=deadline_s, needed=needed)
         if isinstance(ended, processes.NeededFailed):
             # As before the start of a stage: the publisher would go on as if the program were there.
             failure = f"{ended.name} ended while {program.name} was running: {_last_word(work, ended.name)}"
-            processes.end(link, work.remote, *work.programs.suite_names)
+            processes.end(link, work.remote, *work.programs.subject.suite_names)
             ended = processes.wait(link, work.remote, program.name, deadline_s=deadline_s)
         exits.append(ended)
         if failure is None and program.name not in awaited and exits[-1].status != 0:
