@@ -290,7 +290,8 @@ def test_shared_memory_of_another_user_is_not_used(bench: Bench, domain: int, ro
                 receiver = bench.start("communication_tests_subscriber_futex", "-r", "10", "-f", "100")
                 time.sleep(2)
                 assert receiver.poll() is None, end(receiver)
-                sender = bench.start("communication_tests_publisher_futex", "-r", "10", "-f", "100")
+                arguments = ("-r", "10", "-f", "100", "--subscribers", "1", "-d", "1")
+                sender = bench.start("communication_tests_publisher_futex", *arguments)
                 assert (end(sender).status, end(receiver).status) == (0, 0)
             else:
                 receivers, sent = communicate(bench, "futex", "-r", "10", "-f", "100")
