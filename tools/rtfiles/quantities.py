@@ -1,6 +1,7 @@
 """Numbers with their units, as text for people: the same form on the screen and on a page."""
 
 import math
+from collections.abc import Callable
 
 _UNITS = ((1e9, "s"), (1e6, "ms"), (1e3, "us"), (1.0, "ns"))
 
@@ -29,6 +30,40 @@ def percent(share: float) -> str:
     """A share in percent to two digits; close to 100 % to four, as two would show 100 %."""
     of_hundred = 100 * share
     return f"{of_hundred:.{2 if of_hundred < 98.5 else 4}g} %"
+
+
+def one_in(share: float) -> str:
+    """A share below 1 as so many in a round number, as "3 in 1 000": its first three digits."""
+    digits, _, exponent = f"{share:.2e}".partition("e")
+    most = digits.rstrip("0").rstrip(".")
+    size = len(most.partition(".")[2]) - int(exponent)
+    return f"{most.replace('.', '')} in {_power_of_ten(size)}"
+
+
+def at_most_in(share: float) -> str:
+    """A share as `one_in`, rounded up to one digit, or two where one would be more than a third too high."""
+    rounded = _one_digit(share, math.ceil)
+    return one_in(rounded) if rounded < 1 else "all"
+
+
+def at_least_in(share: float) -> str:
+    """A share as `one_in`, rounded down to one digit, or two where one would be more than a third too low."""
+    return one_in(_one_digit(share, math.floor)) if share < 1 else "all"
+
+
+def _one_digit(share: float, rounded: Callable[[float], int]) -> float:
+    exponent = math.floor(math.log10(share))
+    digits = 0 if share / 10.0**exponent >= 3 else 1
+    # What is exact but for its binary form is not rounded to the next digit.
+    whole = rounded(float(f"{share * 10.0 ** (digits - exponent):.9g}"))
+    return whole * 10.0 ** (exponent - digits)
+
+
+def _power_of_ten(exponent: int) -> str:
+    if exponent < 6:
+        return grouped(10**exponent)
+    number, word = (10 ** (exponent - 6), "million") if exponent < 9 else (10 ** (exponent - 9), "billion")
+    return f"a {word}" if number == 1 else f"{grouped(number)} {word}"
 
 
 def grouped(number: float) -> str:

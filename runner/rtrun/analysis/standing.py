@@ -22,6 +22,8 @@ class Standing:
     """The names of the boards that it was measured on."""
     observed_by: tuple[str, ...] = ()
     """For an observed stream: the runs of the campaign that observed it."""
+    short: str = ""
+    """A shorter name than `label`, for a table."""
     stream: str = ""
     """Which stream that is."""
 

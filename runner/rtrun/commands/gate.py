@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_json
+    from rtfiles.output import print_json, print_line
     from rtrun.judgement.gate import gate
     from rtrun.report.formats import junit
     from rtrun.report.screen import print_answers, print_styled
@@ -92,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.results.goal_file import read_goal
     from rtrun.targets.inspection.platform import Platform
 
+    asked = ""
     if args.against:
         judged = _against(args)
     elif args.margin or args.false_alarms:
@@ -109,11 +110,14 @@ def run(args: argparse.Namespace) -> int:
         )
         if not args.json:
             print_banner(analysed.platform)
+            asked = analysed.asked_in_words
     if args.json:
         print_json({"schema": 1, "passed": judged.passed, "cases": [asdict(case) for case in judged.cases]})
     else:
         print_styled("passed" if judged.passed else "failed")
-        print_answers(judged.cases, judged=True, verbose=args.verbose)
+        if asked:
+            print_line(f"asked: {asked}")
+        print_answers(judged.cases, verbose=args.verbose)
     if args.junit:
         atomic.write_named(args.junit, junit(judged).encode("utf-8", "replace"))
     return 0 if judged.passed else 1

@@ -1,6 +1,7 @@
 """``rtrun quick``: a first answer without any file, with the tools that a target has."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,8 @@ EXAMPLES = (
 )
 POLICY = "FIFO"
 NO_REAL_TIME = "0"
+# What a minute can prove, and what the thesis asks for.
+ASKED = (1e-2, 1e-6)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
         statuses = measure_on(
             [TargetFile(config=config, folder=file.parent)], planned.name, runs, results, shown, variants={}
         )
-    asked = Question(deadline_ns=args.deadline, is_deadline_stated=True)
+    asked = Question(deadline_ns=args.deadline, probability=ASKED[0], is_deadline_stated=True)
     _print(study(results, asked, bounds=False), findings, results, file)
     return print_failed(statuses)
 
@@ -147,42 +150,30 @@ def _can_trace(link: "Link") -> bool:
 
 
 def _print(study: "Study", findings: "list[CheckResult]", results: Path, target: Path) -> None:
-    """What was proven, what was late and why, what prevents real time, and how to go on."""
+    """What was late and how often, how often it may be late, what prevents real time, and how to go on."""
     import shlex
 
     from rtfiles.invocation import as_called
     from rtfiles.output import console, print_line
-    from rtfiles.quantities import grouped, time
-    from rtrun.judgement.verdicts import startup_in_words
+    from rtfiles.quantities import one_in
+    from rtrun.judgement.study import study as examine
     from rtrun.plan.quantities import time_text
-    from rtrun.report import causes
-    from rtrun.report.screen import fitted
+    from rtrun.report import causes, sentences
+    from rtrun.report.scenarios import scenarios
     from rtrun.report.terminal import print_banner
     from rtrun.targets.inspection import rt_readiness
 
     print_banner(study.platform)
-    rows, notes = [], []
-    for group in study.groups:
-        verdict = group.verdict
-        why = group.undecidable
-        if verdict is not None:
-            why = verdict.refused or (f"{verdict.change.what}: {verdict.change.text}" if verdict.change else None)
-        notes += [f"{group.label}: no P: {why}"] if why else []
-        if verdict is not None and (startup := startup_in_words(verdict)):
-            notes.append(f"{group.label}: {startup}")
-        bound = "-" if verdict is None or why else f"{verdict.upper:.2g}"
-        misses, worst_ns = (verdict.misses, verdict.worst_ns) if verdict else ("-", None)
-        judged = verdict.n if verdict else group.n
-        rows.append((group.label, grouped(judged), str(misses), bound, time(worst_ns)))
-    confidence = f"{100 * study.question.confidence:g} % confidence"
-    if rows:
-        print_line(f"What this proves of P({study.miss}), at {confidence}, for this one boot:")
-        screen = console()
-        screen.print(fitted(("measured", "n", "misses", "P is below", "worst"), rows, range(1, 5), screen.width))
-    else:
-        print_line(f"This proves nothing of P({study.miss}): no run counts")
-    for text in (*notes, *(f"not analysed: {text}" for text in study.left_out)):
-        print_line(text)
+    made = scenarios(study)
+    print_line(sentences.headline(study, made))
+    if made:
+        console().print(sentences.lines(study, made))
+    for text in study.left_out:
+        print_line(f"not analysed: {text}")
+    for probability in ASKED if made else ():
+        asked = replace(study.question, probability=probability)
+        answers = [each.answer for each in scenarios(examine(results, asked, bounds=False))]
+        print_line(sentences.answers_in_words(answers, one_in(probability)))
     ranking, explained, _ = causes.ranked(study.source)
     if explained:
         print_line(f"why it was late: {causes.table(ranking, explained).outcome}")
@@ -190,6 +181,6 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     folder, file, call = shlex.quote(str(results)), shlex.quote(str(target)), as_called("rtrun")
     explain = f"; {call} check-rt --target {file} says why, and the remedy"
     print_line(f"in the way of real time: {', '.join(grave) + explain if grave else 'nothing grave'}")
-    deadline = time_text(study.question.deadline_ns)
-    print_line(f"next: {call} report {folder} --deadline {deadline}")
+    question = f"--deadline {time_text(study.question.deadline_ns)} --probability {study.question.probability:g}"
+    print_line(f"next: {call} report {folder} {question}")
     print_line(f"to measure again: {call} run {folder}/campaign.yml --target {file} --fresh")

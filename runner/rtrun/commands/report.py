@@ -38,9 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the report, and print the verdicts. Raises UsageError when there is nothing to report on."""
     from rtfiles import atomic
-    from rtfiles.output import print_bytes, print_line, print_note, print_status
+    from rtfiles.output import console, print_bytes, print_line, print_note, print_status
     from rtrun.judgement import gate
-    from rtrun.report import formats, page, screen
+    from rtrun.report import formats, page, sentences
     from rtrun.report.contents import contents
     from rtrun.report.plots import pictures
 
@@ -77,7 +77,13 @@ def run(args: argparse.Namespace) -> int:
     if written.banner:
         print_line(written.banner)
     print_line(written.answer)
-    screen.print_answers(judged.cases, judged=False, verbose=args.verbose)
+    if written.scenarios:
+        console().print(sentences.lines(analysed, written.scenarios))
+    for text in written.left_out:
+        print_line(f"not analysed: {text}")
+    for case in judged.cases if args.verbose else ():
+        print_line(f"{case.about}: {case.in_full}")
+    print_line(f"next: {written.next_step}")
     print_line(str(output))
     return 0
 

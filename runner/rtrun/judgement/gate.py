@@ -25,9 +25,14 @@ class Case:
     answer: str
     text: str
     passed: bool
+    short: str = ""
+    """A shorter name than `about`, where there is one."""
     n: int | None = None
     misses: int | None = None
     worst_ns: int | None = None
+    lower: float | None = None
+    upper: float | None = None
+    """The bounds of P(miss)."""
     refused: str | None = None
     """Why there is no answer: `text` begins with it."""
     reason: str | None = None
@@ -80,7 +85,7 @@ def gate(
         for text in study.left_out
     ]
     judged = [
-        _case(group, study.name(group), passing, platform, is_member=group.key in study.members)
+        _case(group, study, passing, platform, is_member=group.key in study.members)
         for group in study.answers
         if group.question
     ]
@@ -142,8 +147,8 @@ def why_not_accepted(measured: Platform, accepted: Platform) -> str | None:
     return f"measured on {measured.machine}: passes only with --platform {measured}"
 
 
-def _case(group: Group, name: str, passing: Container[str], platform: Platform, *, is_member: bool) -> Case:
-    line, verdict = verdict_line(group, name), group.verdict
+def _case(group: Group, study: Study, passing: Container[str], platform: Platform, *, is_member: bool) -> Case:
+    line, verdict = verdict_line(group, study.name(group)), group.verdict
     text, passed = line.text, line.answer in passing
     reason = not_accepted = ""
     if verdict is None:
@@ -166,9 +171,12 @@ def _case(group: Group, name: str, passing: Container[str], platform: Platform, 
         answer=line.answer,
         text=text,
         passed=passed,
+        short=study.short_name(group),
         n=verdict.n if verdict else group.n,
         misses=verdict.misses if verdict else None,
         worst_ns=verdict.worst_ns if verdict else None,
+        lower=verdict.lower if verdict and not verdict.refused else None,
+        upper=verdict.upper if verdict and not verdict.refused else None,
         refused=verdict.refused if verdict else None,
         reason=reason,
         not_accepted=not_accepted,

@@ -79,10 +79,16 @@ class Group:
     @property
     def label(self) -> str:
         """Suite and parameters in a few words; also the series, where its suite is usually judged by another one."""
+        what, others = self.words
+        return " ".join(filter(None, [what, format_parameters(others)]))
+
+    @functools.cached_property
+    def words(self) -> tuple[str, dict[str, Value]]:
+        """What was measured in a few words, and the parameters that these do not name."""
         told = self.series in MAIN_ONLY_IN_2014 or (self.of is not None and self.of != measures(self.suite)[0])
         observed, others = stream_words(self.suite, self.parameters)
         words = [observed or self.suite.removesuffix("_tests"), self.series if told else ""]
-        return " ".join(filter(None, [*words, format_parameters(others)]))
+        return " ".join(filter(None, words)), others
 
     @property
     def platform(self) -> Platform:
@@ -118,6 +124,23 @@ class Group:
     def histogram(self) -> Histogram:
         """All counts: the digests of a group have bins of one width."""
         return merge(one.histogram for one in self.digests)
+
+
+def short_names(groups: Sequence[Group]) -> dict[str, str]:
+    """What tells each group from its neighbours, by its key: what it measures, and the parameters that differ."""
+    alike: dict[str, list[dict[str, Value]]] = {}
+    for group in groups:
+        alike.setdefault(group.words[0], []).append(group.words[1])
+    differ = {
+        what: {key for each in all_of for key in each if len({str(one.get(key)) for one in all_of}) > 1}
+        for what, all_of in alike.items()
+    }
+    names = {}
+    for group in groups:
+        what, parameters = group.words
+        words = format_parameters({key: value for key, value in parameters.items() if key in differ[what]})
+        names[group.key] = f"{what} {words}".strip()
+    return names
 
 
 def key_of(target: str, one: JudgedDigest) -> str:

@@ -13,7 +13,7 @@ from rtrun.results.record import is_closed
 def standings(study: Study) -> tuple[Standing, ...]:
     """How far each group of a study is, groups of alike boards before those of each board."""
     times_s = {record.run: record.duration_s for record in study.records}
-    return tuple(_standing(group, study.name(group), times_s) for group in study.answers)
+    return tuple(_standing(group, study, times_s) for group in study.answers)
 
 
 def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
@@ -28,10 +28,11 @@ def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
     return evaluate
 
 
-def _standing(group: Group, label: str, times_s: dict[str, float]) -> Standing:
+def _standing(group: Group, study: Study, times_s: dict[str, float]) -> Standing:
     observed_by = tuple(dict.fromkeys(record.observed_by for record in group.records if record.observed_by))
     return Standing(
-        label=label,
+        label=study.name(group),
+        short=study.short_name(group),
         runs=group.runs,
         verdict=group.verdict,
         undecidable=group.undecidable,

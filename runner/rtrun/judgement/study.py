@@ -10,6 +10,7 @@ from typing import Any
 
 from rtfiles.errors import UsageError
 from rtfiles.output import showing_progress
+from rtfiles.quantities import one_in
 from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import Verdict, judge
 from rtrun.analysis.histogram import Histogram
@@ -21,7 +22,7 @@ from rtrun.evidence.accounts import clock_step_ns, take_account
 from rtrun.evidence.attempts import LostAttempt, lost_attempts
 from rtrun.evidence.duplicates import copies_among, overlaps_among
 from rtrun.judgement.digest import Digest, JudgedDigest, digest
-from rtrun.judgement.groups import Group, key_of, scenario, slowest
+from rtrun.judgement.groups import Group, key_of, scenario, short_names, slowest
 from rtrun.kinds.known import MAIN_2014
 from rtrun.kinds.lateness import judged
 from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
@@ -66,10 +67,20 @@ class Study:
 
     def name(self, group: Group) -> str:
         """The label of a group, with its board where the study has several."""
-        boards = {record.target.name for record in self.records}
-        if len(boards) < 2 or not group.boards:
-            return group.label
-        return f"{group.label}, {f'{len(group.boards)} boards' if group.members else group.boards[0]}"
+        return group.label + self._on(group)
+
+    def short_name(self, group: Group) -> str:
+        """What tells a group from its neighbours in the study, with its board where the study has several."""
+        return self._short_names[group.key] + self._on(group)
+
+    @functools.cached_property
+    def _short_names(self) -> dict[str, str]:
+        return short_names(self.answers)
+
+    def _on(self, group: Group) -> str:
+        if len({record.target.name for record in self.records}) < 2 or not group.boards:
+            return ""
+        return f", {f'{len(group.boards)} boards' if group.members else group.boards[0]}"
 
     @property
     def platform(self) -> Platform:
@@ -95,6 +106,16 @@ class Study:
         if len(self.deadlines_ns) > 1:
             return f"{self.asked.of or 'value'} > its deadline"
         return replace(self.asked, deadline_ns=self.deadlines_ns[0]).miss
+
+    @property
+    def asked_in_words(self) -> str:
+        """What is asked, in words and in symbols: how many may be late, and how sure the answer has to be."""
+        asked = self.question
+        late = "late" if asked.tolerance == NONE_TOLERATED else f"windows with more than {asked.tolerance} late"
+        return (
+            f"at most {one_in(asked.probability)} {late} (P({self.miss}) < {asked.probability:g}), "
+            f"{100 * asked.confidence:g} % sure"
+        )
 
     @property
     def as_in_2014(self) -> tuple[Group, ...]:

@@ -1,6 +1,7 @@
 """A verdict in words: the answer, and the numbers that it rests on."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtfiles.output import counted, listed, printable
@@ -21,6 +22,20 @@ WORST_FIRST = (
     *(Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN),
     *(Answer.NO_STATEMENT, Answer.NO_DEADLINE),
 )
+
+
+_YES_OR_NO = {
+    Answer.PROVEN: "yes",
+    Answer.IF_INDEPENDENT: "yes, unless late values come in bursts",
+    Answer.NEEDS_MORE: "not known yet",
+    Answer.REFUTED: "no",
+    Answer.NO_STATEMENT: "no statement",
+}
+
+
+def counts_in_words(answers: Sequence[str]) -> str:
+    """How many answers of each kind there are; those without a deadline do not count."""
+    return "; ".join(f"{words}: {answers.count(each)}" for each, words in _YES_OR_NO.items() if each in answers)
 
 
 def severity(answer: str, worst_ns: int | None) -> tuple[int, float]:
@@ -143,6 +158,11 @@ def _episodes(verdict: Verdict) -> str:
     return f"at most {grouped(most) if most >= 100 else f'{most:.2g}'} episodes of {what} an hour ({seen})"
 
 
+def bound_text(answer: str, lower: float, upper: float) -> str:
+    """The bound of P(miss) that decides, for a table."""
+    return f">= {lower:.2g}" if answer == Answer.REFUTED else f"<= {upper:.2g}"
+
+
 def _between(verdict: Verdict) -> str:
     if verdict.lower == 0:
         return f"at most {verdict.upper:.2g}"
@@ -150,10 +170,8 @@ def _between(verdict: Verdict) -> str:
 
 
 def scope_in_short(verdict: Verdict) -> str:
-    """What a proof holds for, in a few words for a table; a dash where there is none."""
-    if verdict.answer not in (Answer.PROVEN, Answer.IF_INDEPENDENT):
-        return "-"
-    return f"{boots_in_words(verdict).removeprefix('for ').removeprefix('in ')}, {_bursts_in_words(verdict)}"
+    """What a proof holds for, in a few words."""
+    return f"{boots_in_words(verdict)}, for {_bursts_in_words(verdict)}"
 
 
 def boots_in_words(verdict: Verdict) -> str:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from rtfiles.output import counted, printable
 from rtfiles.quantities import duration, grouped, time
-from rtrun.analysis.deadline import Answer
+from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.causes.ranking import Ranking
 from rtrun.judgement.layers import layer_pairs
 from rtrun.judgement.study import Study
 from rtrun.judgement.topologies import MeasuredTopology, measured_topologies
-from rtrun.judgement.verdicts import WORST_FIRST, boots_in_words
+from rtrun.judgement.verdicts import boots_in_words, counts_in_words
 from rtrun.report import causes
 from rtrun.report.layers import LayerBar, stacks
 from rtrun.report.scenarios import Scenario, scenarios
@@ -81,44 +81,35 @@ def _question(study: Study) -> str:
     asked = study.asked
     boots = f", on at least {asked.boots} boots" if asked.boots > 1 else ""
     bursts = f", covering {asked.covered}" if asked.bursts != 1 else ""
-    return (
-        f"Is P({study.miss}) below {asked.probability:g}{boots}{bursts}? "
-        f"Confidence {100 * asked.confidence:g} %, two-sided."
-    )
+    return f"Asked: {study.asked_in_words}, two-sided{boots}{bursts}."
 
 
 def _answer(study: Study, made: Sequence[Scenario]) -> str:
     """The answer to the question in one sentence."""
     counts = Counter(one.answer for one in made)
     total = len(made) - counts[Answer.NO_DEADLINE]
-    summary = ", ".join(
-        f"{answer} {counts[answer]} of {total}"
-        for answer in WORST_FIRST
-        if counts[answer] and answer is not Answer.NO_DEADLINE
-    )
+    others = counts_in_words([one.answer for one in made if one.answer != Answer.REFUTED])
     first_ns, *others_ns = study.deadlines_ns
     deadline = "its deadline" if others_ns else f"the deadline of {time(first_ns)}"
+    hidden = f"; {len(study.left_out)} not analysed" if study.left_out else ""
+    asked = f"{hidden}. Asked: {study.asked_in_words}."
     if made and not total:
-        text = f"No deadline was given for any of {counted(len(made), 'scenario')}: --deadline TIME"
-    elif not made:
-        text = f"Nothing was measured that {deadline} could be held against"
-    elif counts[Answer.REFUTED]:
-        text = f"{deadline.capitalize()} is not met: {summary}"
-    elif counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
+        return f"No deadline was given for any of {counted(len(made), 'scenario')}: --deadline TIME{hidden}."
+    if not made:
+        return f"Nothing was measured that {deadline} could be held against{hidden}."
+    if counts[Answer.REFUTED]:
+        refuted = _all(total) if counts[Answer.REFUTED] == total else f"{counts[Answer.REFUTED]} of {total} scenarios"
+        return f"{deadline.capitalize()} is not met in {refuted}{'; ' if others else ''}{others}{asked}"
+    if counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
         condition = ", if measurements are independent" if counts[Answer.IF_INDEPENDENT] else ""
-        text = (
-            f"{deadline.capitalize()} is met in {_all(total)}{condition}: P({study.miss}) is below "
-            f"{study.question.probability:g} at {100 * study.question.confidence:g} % confidence, "
-            f"{_for_which_boots(made)}"
+        return (
+            f"{deadline.capitalize()} is met in {_all(total)}{condition}: {study.asked_in_words}, "
+            f"{_for_which_boots(made)}{hidden}."
         )
-    elif counts[Answer.NO_STATEMENT] == total:
+    if counts[Answer.NO_STATEMENT] == total:
         reasons = dict.fromkeys(one.group.verdict.refused or "" for one in made if one.group.verdict)
-        text = f"No statement about {deadline} in any scenario: {'; '.join(reasons)}"
-    else:
-        text = f"It is not decided whether {deadline} is met: {summary}"
-    if study.left_out:
-        text += f"; {len(study.left_out)} not analysed"
-    return text + "."
+        return f"No statement about {deadline} in any scenario: {'; '.join(reasons)}{hidden}."
+    return f"It is not decided whether {deadline} is met in {_all(total)}{f': {others}' if total > 1 else ''}{asked}"
 
 
 def _for_which_boots(made: Sequence[Scenario]) -> str:
@@ -144,9 +135,9 @@ def _next_step(made: Sequence[Scenario], platform: Platform, culprits: Ranking) 
             "rtrun check-rt --target TARGET.yml lists what stands in the way of real time on the target; "
             "the plots below show when the late values came"
         )
-    wanted = [verdict.further for one in made if (verdict := one.group.verdict) and verdict.further]
+    wanted = [count for one in made if (verdict := one.group.verdict) and (count := _further(verdict))]
     if Answer.NEEDS_MORE in answers and wanted:
-        return f"measure more: up to {grouped(max(wanted))} measurements a scenario without another miss"
+        return f"measure more: {grouped(max(wanted))} measurements a scenario are likely to decide it"
     if answers and answers <= {Answer.NO_STATEMENT}:
         return "measure where the time is real, on the board itself: rtrun run CAMPAIGN.yml --target BOARD.yml"
     if answers == {Answer.PROVEN}:
@@ -155,6 +146,11 @@ def _next_step(made: Sequence[Scenario], platform: Platform, culprits: Ranking) 
     if answers and answers <= {Answer.PROVEN, Answer.IF_INDEPENDENT}:
         return "measure with samples, which show whether late values come in bursts; histograms and logs cannot"
     return f"see {'the scenarios below for what is missing' if made else 'below why it could not be analysed'}"
+
+
+def _further(verdict: Verdict) -> int | None:
+    """How many more measurements are likely to decide it, if misses go on at the rate seen."""
+    return verdict.further_likely[1] if verdict.misses and verdict.further_likely else verdict.further
 
 
 def _facts(study: Study) -> list[tuple[str, str]]:

@@ -8,6 +8,7 @@ from rtfiles.output import console, print_line, printable
 from rtfiles.quantities import grouped, time
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.gate import Case
+from rtrun.judgement.verdicts import bound_text
 from rtrun.report import tables
 
 if TYPE_CHECKING:
@@ -118,8 +119,8 @@ def _listed(headings: Sequence[str], rows: "Sequence[Sequence[Text]]") -> "Table
     return made
 
 
-def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None:
-    """Print a row for each case, and whether it passes if the cases are `judged`.
+def print_answers(cases: Sequence[Case], *, verbose: bool) -> None:
+    """Print a row for each case: whether it passes, and its answer.
 
     If `verbose`, or if there is a single case, a sentence explains each answer. Otherwise lines below add what the
     numbers do not show; a line that applies to several cases is printed once.
@@ -127,7 +128,7 @@ def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None
     if not cases:
         return
     screen = console()
-    screen.print(_table(cases, judged=judged, width=screen.width))
+    screen.print(_table(cases, screen.width))
     refusals = {case.refused for case in cases}
     refused = refusals.pop() if len(cases) > 1 and len(refusals) == 1 else None
     if refused:
@@ -139,7 +140,7 @@ def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None
             lines.setdefault(f"{case.about}: {case.in_full.removeprefix(f'{refused}; ')}", [])
             continue
         reason = case.in_full if case.reason is None else case.reason
-        for text in (reason if case.refused is None else "", case.not_accepted if judged else ""):
+        for text in (reason if case.refused is None else "", case.not_accepted):
             if text:
                 lines.setdefault(text, []).append(case.about)
     if lines:
@@ -149,16 +150,17 @@ def print_answers(cases: Sequence[Case], *, judged: bool, verbose: bool) -> None
         print_line(f"{about}{text}")
 
 
-def _table(cases: Sequence[Case], *, judged: bool, width: int) -> "Table":
-    headings = (*["gate"] * judged, "answer", "scenario", "misses", "worst")
+def _table(cases: Sequence[Case], width: int) -> "Table":
+    headings = ("gate", "answer", "scenario", "misses", "P(miss)", "worst")
     rows = [
         (
-            *["pass" if case.passed else "FAIL"] * judged,
+            "pass" if case.passed else "FAIL",
             case.answer,
-            case.about,
+            case.short or case.about,
             "-" if case.n is None else f"{'-' if case.misses is None else grouped(case.misses)} of {grouped(case.n)}",
+            "-" if case.lower is None or case.upper is None else bound_text(case.answer, case.lower, case.upper),
             time(case.worst_ns),
         )
         for case in cases
     ]
-    return fitted(headings, rows, range(len(headings) - 2, len(headings)), width)
+    return fitted(headings, rows, range(3, len(headings)), width)

@@ -13,6 +13,7 @@ from rtrun.execution.goal import Progress
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import (
     amount,
+    bound_text,
     held_for,
     hidden_in_words,
     is_short_of_bursts,
@@ -28,56 +29,51 @@ if TYPE_CHECKING:
 
 def question(study: Study) -> str:
     """The question that is answered."""
-    return (
-        f"P({study.miss}) below {study.question.probability:g}, "
-        f"confidence {study.question.confidence:g}, on at least {_count(study.question.boots, 'boot', '')}, "
-        f"covering {study.question.covered}"
-    )
+    boots = _count(study.question.boots, "boot", "")
+    return f"asked: {study.asked_in_words}, on at least {boots}, covering {study.question.covered}"
 
 
 def table(standings: Sequence[Standing], width: int) -> "Table":
-    """A row for each group: its answer, what it is based on, and what is still missing; fits a screen of this width."""
-    headings = ("group", "answer", "holds for", "P(miss)", "measured", "boots", "time", "missing")
+    """A row for each group: its answer and the numbers that it rests on; fits a screen of this width."""
+    headings = ("group", "answer", "P(miss)", "misses", "boots", "time")
     rows = [
         (
-            standing.label,
+            _name(standing),
             str(standing.answer),
-            scope_in_short(verdict) if verdict else "-",
-            bound(verdict) if verdict else "-",
-            grouped(verdict.n) if verdict else "-",
+            "-" if verdict is None or verdict.refused else bound_text(verdict.answer, verdict.lower, verdict.upper),
+            f"{grouped(verdict.misses)} of {grouped(verdict.n)}" if verdict else "-",
             "-" if verdict is None or verdict.boots is None else str(verdict.boots),
             duration(standing.measured_s),
-            "see below" if _has_reason(standing) else missing(standing),
         )
         for standing in standings
         for verdict in (standing.verdict,)
     ]
-    return fitted(headings, rows, range(3, 7), width)
+    return fitted(headings, rows, range(2, 6), width)
 
 
 def reasons(standings: Sequence[Standing]) -> Iterator[str]:
-    """Why there is no answer, one line each, for below the table."""
+    """What each answer holds for, or lacks: for below the table, a line for all groups of which it says the same."""
     by_reason: dict[str, list[str]] = {}
-    for standing in filter(_has_reason, standings):
-        by_reason.setdefault(missing(standing), []).append(standing.label)
-    for reason, labels in by_reason.items():
-        everywhere = len(labels) > 1 and len(labels) == len(standings)
-        yield f"{'all groups' if everywhere else ', '.join(labels)}: {reason}"
+    for standing in standings:
+        verdict = standing.verdict
+        holds = verdict is not None and standing.answer in (Answer.PROVEN, Answer.IF_INDEPENDENT)
+        text = f"holds {scope_in_short(verdict)}" if verdict is not None and holds else missing(standing)
+        if text:
+            by_reason.setdefault(text, []).append(_name(standing))
+    for text, names in by_reason.items():
+        everywhere = len(names) > 1 and len(names) == len(standings)
+        yield printable(f"{'all groups' if everywhere else ', '.join(names)}: {text}")
+
+
+def _name(standing: Standing) -> str:
+    return standing.short or standing.label
 
 
 def startups(standings: Sequence[Standing]) -> Iterator[str]:
     """The start-up that each answer leaves out, one line each, for below the table."""
     for standing in standings:
         if standing.verdict is not None and standing.verdict.startup is not None:
-            yield printable(f"{standing.label}: {startup_in_words(standing.verdict)}")
-
-
-def _has_reason(standing: Standing) -> bool:
-    """Whether something other than too few measurements prevents an answer."""
-    verdict = standing.verdict
-    if verdict is None or verdict.refused:
-        return True
-    return standing.answer is Answer.NEEDS_MORE and (verdict.change is not None or bool(hidden_in_words(verdict)))
+            yield printable(f"{_name(standing)}: {startup_in_words(standing.verdict)}")
 
 
 def progress_line(progress: Progress, goal: Goal) -> str:
@@ -86,7 +82,7 @@ def progress_line(progress: Progress, goal: Goal) -> str:
     if standing is None or standing.verdict is None:
         return f"{progress.group.name}: nothing is measured yet"
     verdict = standing.verdict
-    parts = [f"P(miss) {bound(verdict)}, to be below {goal.probability:g}", f"{grouped(verdict.n)} measured"]
+    parts = [f"P(miss) {_bound(verdict)}, to be below {goal.probability:g}", f"{grouped(verdict.n)} measured"]
     if goal.boots > 1 and verdict.boots is not None:
         parts.append(f"{verdict.boots} of {goal.boots} boots")
     if standing.answer is Answer.NEEDS_MORE:
@@ -104,8 +100,8 @@ def _changed(change: Change) -> str:
     return f"no answer: {change.what}: {change.text}"
 
 
-def bound(verdict: Verdict) -> str:
-    """The interval of P(miss); only its upper end where the lower one is 0."""
+def _bound(verdict: Verdict) -> str:
+    """The interval of P(miss)."""
     return f"<= {verdict.upper:.2g}" if verdict.lower == 0 else f"{verdict.lower:.2g} to {verdict.upper:.2g}"
 
 

@@ -126,9 +126,8 @@ def test_a_change_is_said_before_anything_else():
 @pytest.mark.parametrize(
     ("measured", "said"),
     [
-        (trials(4000), "this boot, single misses"),
-        (trials(100_000, boots=5), "at least 48 % of boots, bursts of 22"),
-        (trials(1000), "-"),
+        (trials(4000), "in this boot, for single misses"),
+        (trials(100_000, boots=5), "for at least 48 % of boots, for bursts of 22"),
     ],
 )
 def test_the_table_says_beside_the_answer_what_it_holds_for(measured, said):

@@ -51,11 +51,20 @@ def texts(value: object) -> Iterator[str]:
     [
         (
             {"probability": 1e-2},
-            "The deadline of 400 us is met in the one scenario: P(latency > 400 us) is below 0.01",
+            "The deadline of 400 us is met in the one scenario: at most 1 in 100 late (P(latency > 400 us) < 0.01)",
             "keep it so",
         ),
-        ({}, "It is not decided whether the deadline of 400 us is met: NEEDS MORE 1 of 1.", "measure more"),
-        ({"deadline_ns": 90_000}, "The deadline of 90 us is not met: REFUTED 1 of 1.", "rtrun check-rt --target"),
+        (
+            {},
+            "It is not decided whether the deadline of 400 us is met in the one scenario. "
+            "Asked: at most 1 in a million late (P(latency > 400 us) < 1e-06), 95 % sure.",
+            "measure more",
+        ),
+        (
+            {"deadline_ns": 90_000},
+            "The deadline of 90 us is not met in the one scenario. Asked: at most 1 in a million late (",
+            "rtrun check-rt --target",
+        ),
     ],
 )
 def test_the_answer_is_a_sentence_and_the_next_step_follows_from_it(tmp_path, question, answer, step):

@@ -54,8 +54,16 @@ def test_what_is_no_number_stands_below_the_table() -> None:
     stream = io.StringIO()
     Console(file=stream, width=130).print(table(groups, 130))
     changed, more = (line for line in stream.getvalue().splitlines() if "timer" in line)
-    assert changed.rstrip().endswith("  see below") and "more" in more
-    assert list(reasons(groups)) == ["timer RR: no answer: it did not stay the same: late values lie at the end"]
+    assert "NEEDS MORE" in changed and "0 of 1 000" in more
+    below = list(reasons(groups))
+    assert below[0] == "timer RR: no answer: it did not stay the same: late values lie at the end"
+    assert below[1].startswith("timer FIFO: 2 688 more ")
+
+
+def test_what_a_proof_holds_for_stands_below_the_table() -> None:
+    assert list(reasons([standing_of(verdict_of(5000))])) == [
+        "timer RR: holds on boots that are not known, for single misses"
+    ]
 
 
 @pytest.mark.parametrize("count", [1, 2])

@@ -1,0 +1,130 @@
+"""The answers in sentences, for somebody who knows no statistics: what `quick` and `report` print."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rtfiles.output import counted, printable
+from rtfiles.quantities import at_least_in, at_most_in, grouped, time
+from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.judgement.study import Study
+from rtrun.judgement.verdicts import (
+    amount,
+    counts_in_words,
+    hidden_in_words,
+    is_short_of_bursts,
+    startup_in_words,
+)
+from rtrun.kinds.lateness import absent_in_words
+from rtrun.plan.question import NONE_TOLERATED
+from rtrun.report.scenarios import Scenario
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+MEASURE_AGAIN = "Was something else busy? Stop it and measure again, or measure longer."
+"""What to do about an answer that a change prevents."""
+
+
+def headline(study: Study, made: Sequence[Scenario]) -> str:
+    """Where the deadline was missed, and on what kind of machine."""
+    judged = [one for one in made if one.group.verdict]
+    if not judged:
+        return "Nothing was measured that counts." if not made else "Without a deadline nothing is late."
+    missed = sum(bool(one.group.verdict and one.group.verdict.misses) for one in judged)
+    tests = counted(len(judged), "test")
+    deadline = time(study.deadlines_ns[0]) if len(study.deadlines_ns) == 1 else "A deadline"
+    which = "never missed in" if not missed else "missed in"
+    if missed and len(judged) > 1:
+        which += " all" if missed == len(judged) else f" {missed} of"
+    sure = f"{100 * study.question.confidence:g} % sure"
+    return f"{deadline} was {which} {tests} {_where(study)}. How many are late, {sure}:"
+
+
+def _where(study: Study) -> str:
+    machine = study.platform.machine
+    known = {record.target.preempt_rt for record in study.records}
+    kernel = " with PREEMPT_RT" if known == {True} else " without PREEMPT_RT" if known == {False} else ""
+    return f"on {machine}{kernel}"
+
+
+def lines(study: Study, made: Sequence[Scenario]) -> "Table":
+    """A line for each scenario: its short name, how many values were late, and what follows from that."""
+    from rich.table import Table
+
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(overflow="fold")
+    grid.add_column(overflow="fold", ratio=1)
+    refusals = {one.group.verdict.refused if one.group.verdict else None for one in made}
+    # The headline has a reason that applies to all.
+    said = f", {refusals.pop()}" if len(made) > 1 and len(refusals) == 1 else ""
+    for one in made:
+        grid.add_row(printable(study.short_name(one.group)), printable(sentence(one).removesuffix(said)))
+    return grid
+
+
+def sentence(scenario: Scenario) -> str:
+    """What was measured in a scenario, and what follows from it."""
+    verdict, figures = scenario.group.verdict, scenario.figures
+    if verdict is None:
+        if scenario.group.question:
+            return scenario.group.undecidable or "nothing was measured"
+        values = f"lowest {time(figures.min_ns)}, mean {time(figures.mean_ns)}, highest {time(figures.max_ns)}"
+        return f"{grouped(figures.n)} values: {values}"
+    return f"{_seen(verdict)}: {'; '.join(_follows(verdict))}"
+
+
+def _seen(verdict: Verdict) -> str:
+    tolerance = verdict.question.tolerance
+    what = "late" if tolerance == NONE_TOLERATED else f"windows with more than {tolerance} late"
+    parts = [f"{grouped(verdict.late) if verdict.late else 'none'} of {grouped(verdict.n)} {what}"]
+    if verdict.absent:
+        parts.append(absent_in_words(verdict.absent, verdict.question.of))
+    if verdict.worst_ns is not None:
+        parts.append(f"worst {time(verdict.worst_ns)}")
+    return ", ".join(parts)
+
+
+def _follows(verdict: Verdict) -> list[str]:
+    most = f"at most {at_most_in(verdict.upper)} are late"
+    startup = [text] if (text := startup_in_words(verdict)) else []
+    if verdict.refused:
+        return [f"no statement, {verdict.refused}", *startup]
+    match verdict.answer:
+        case Answer.REFUTED:
+            return [f"at least {at_least_in(verdict.lower)} are late", *startup]
+        case Answer.PROVEN:
+            return [most, *startup]
+        case Answer.IF_INDEPENDENT:
+            return [f"{most}, unless they come in bursts", *startup]
+        case _:
+            return [*_open(verdict, most), *startup]
+
+
+def _open(verdict: Verdict, most: str) -> list[str]:
+    """Why it is not decided, and what decides it."""
+    if hidden := hidden_in_words(verdict):
+        return [f"no rate can be given: {hidden}"]
+    if verdict.change is not None:
+        return [f"no rate can be given: {verdict.change.what} ({verdict.change.text})"]
+    parts, decide = [most], "decide it"
+    if is_short_of_bursts(verdict):
+        parts = [f"{most}, as long as {_in_a_row(int(verdict.longest_burst))}"]
+        decide = f"cover {verdict.bursts.length} in a row"
+    if verdict.boots_missing:
+        parts.append(f"{counted(verdict.boots_missing, 'more boot')} missing")
+    if not verdict.misses and verdict.further:
+        parts.append(f"{amount(verdict, verdict.further, 'more')} without a late one {decide}")
+    elif verdict.further_likely is None:
+        parts.append("at this rate, no number of measurements is likely to decide it")
+    elif verdict.further_likely[1]:
+        parts.append(f"about {amount(verdict, verdict.further_likely[1], 'more')} {decide}")
+    return parts
+
+
+def _in_a_row(count: int) -> str:
+    return f"no more than {count} come in a row" if count > 1 else "they come singly"
+
+
+def answers_in_words(answers: Sequence[str], probability: str) -> str:
+    """How many tests meet a question: "Asked for at most 1 in 100 late? yes: 3; no: 1"."""
+    return f"Asked for at most {probability} late? {counts_in_words(answers)}"
