@@ -9,6 +9,7 @@ from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.timeline import IDLE_PID, Occupant, Span, Timeline
 
 IDLE = "idle"
+EVENTS_MISSING = "events are missing"
 # Kinds that get the CPU only because another thread is throttled.
 GIVEN_THE_CPU = frozenset({Kind.SHARED, Kind.EQUAL, Kind.NOT_PREEMPTED, Kind.IDLE_EXIT, Kind.THROTTLED})
 # A throttled thread runs this soon after it has time again, unless another one comes first.
@@ -128,7 +129,7 @@ def _above(prio: int, of_waiting: int) -> Kind | None:
 def of_no_thread(occupant: Occupant | None) -> Cause:
     """The cause while an interrupt or a softirq had the CPU, or while it is not known who had it."""
     if occupant is None:
-        return Cause(kind=Kind.UNEXPLAINED, name="events are missing")
+        return Cause(kind=Kind.UNEXPLAINED, name=EVENTS_MISSING)
     return of_interrupt(occupant.context, occupant.name)
 
 

@@ -18,6 +18,7 @@ from rtrun.causes.recurring import Recurring, recurring
 from rtrun.causes.remedies import remedy
 from rtrun.causes.steps import Step
 from rtrun.causes.surroundings import find_unusual
+from rtrun.causes.waits import EVENTS_MISSING
 from rtrun.kinds.lateness import Measure
 from rtrun.report.tables import Table
 from rtrun.results.reading import Source
@@ -34,6 +35,21 @@ NAMES_MAX = 5
 _RAISE = (
     "Most outliers have no trace: raise the limit of the campaign (trace: {above: ...}), so that fewer values ask for "
     "one while another is copied"
+)
+# Why a cause is not known, and what would help, by the words of what is unexplained.
+_UNKNOWN = {
+    EVENTS_MISSING: (
+        "the trace lost events there",
+        "Trace fewer of them: raise the limit (trace: {above: ...}), or measure fewer programs at once",
+    ),
+}
+_UNKNOWN_OUTSIDE = (
+    "the thread had nothing to do until {name} woke it, and the trace does not show why that came late",
+    "Look at what sends it: the device, or the other machine",
+)
+_UNKNOWN_OTHERWISE = (
+    "no event of the trace explains the wait",
+    "`rtrun why --all` lists the parts of each",
 )
 # Idle CPUs and callbacks are listed with an outlier if they took at least this share of its value.
 BESIDE_FROM = 0.1
@@ -177,13 +193,14 @@ def answer(ranking: Ranking) -> str:
 
 
 def _not_known(ranking: Ranking, first: Culprit) -> str:
-    """The answer where no event explains most of the waiting time: that fact, and the cause of the rest."""
+    """The answer where no event explains most of the waiting time: what is known, what is not, and what would help."""
     rest = next((one for one in ranking.culprits if one.kind not in NAMELESS), None)
-    return (
-        f"Cannot be known from the traces: {culprit_name(first)} is the main part of {first.main} of "
-        f"{counted(ranking.outliers, 'traced outlier')}, {_percent(first.total_ns, ranking.late_ns)} of their lateness"
-        + (f"; most of the rest is {culprit_name(rest)}" if rest else "")
-    )
+    known = f"{culprit_name(rest)}: {_percent(rest.total_ns, ranking.late_ns)} of all lateness; " if rest else ""
+    why, help_ = _UNKNOWN_OUTSIDE if first.kind is Kind.OUTSIDE else _UNKNOWN.get(first.name, _UNKNOWN_OTHERWISE)
+    outliers = counted(ranking.outliers, "traced outlier")
+    unknown = f"cause not known for {first.main} of {outliers}: {why.format(name=printable(first.name))}"
+    text = f"{known}{unknown}. {help_}"
+    return text[0].upper() + text[1:]
 
 
 def culprit_name(culprit: Culprit) -> str:

@@ -9,6 +9,7 @@ from rtrun.causes.outliers import Explained, Outlier
 from rtrun.causes.parts import Cause, Kind, Part
 from rtrun.causes.ranking import rank
 from rtrun.causes.remedies import read_remedies, remedy
+from rtrun.causes.waits import EVENTS_MISSING
 from rtrun.report.causes import answer, table
 from rtrun.targets.inspection.rt_readiness import read_checks
 
@@ -108,13 +109,19 @@ def test_many_who_share_a_cpu_are_the_cause_together():
     assert answer(by_chance).startswith("No single cause")
 
 
-@pytest.mark.parametrize("kind", [Kind.UNEXPLAINED, Kind.OUTSIDE])
-def test_what_no_event_shows_cannot_be_known(kind):
-    made = rank([outlier((kind, "x", 900), (Kind.HIGHER, "hog", 100))] * 4)
-    assert answer(made) == (
-        f"Cannot be known from the traces: {kind} x is the main part of 4 of 4 traced outliers, 90 % of their "
-        "lateness; most of the rest is thread of higher priority hog"
-    )
+@pytest.mark.parametrize(
+    ("kind", "name", "why"),
+    [
+        (Kind.UNEXPLAINED, "", "no event of the trace explains the wait. `rtrun why --all` lists the parts of each"),
+        (Kind.UNEXPLAINED, EVENTS_MISSING, "the trace lost events there. Trace fewer of them: raise the limit ("),
+        (Kind.OUTSIDE, "irq/7", "the thread had nothing to do until irq/7 woke it, and the trace does not show why"),
+    ],
+)
+def test_what_is_known_comes_before_what_is_not_and_what_would_help(kind, name, why):
+    made = rank([outlier((kind, name, 900), (Kind.HIGHER, "hog", 100))] * 4)
+    known = "Thread of higher priority hog: 10 % of all lateness; cause not known for 4 of 4 traced outliers: "
+    assert answer(made).startswith(known + why)
+    assert answer(rank([outlier((kind, name, 900))])).startswith("Cause not known for 1 of 1 traced outlier: ")
 
 
 @pytest.mark.parametrize("kind", [Kind.OWN_SLEEP, Kind.PROGRAM])
