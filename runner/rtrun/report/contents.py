@@ -27,13 +27,15 @@ class Contents:
     """A report: the answer, what it is based on, every scenario, then the reference sections.
 
     `worst` is the scenario with the highest value, among those with a deadline if there are any; None: nothing was
-    measured. `facts` are (what, value). `stacks` are the layers put upon one another, `topologies` the measured graphs.
+    measured. `missing` is the one with the most values missing, if these are many. `facts` are (what, value). `stacks`
+    are the layers put upon one another, `topologies` the measured graphs.
     """
 
     title: str
     banner: str | None
     answer: str
     worst: Scenario | None
+    missing: Scenario | None
     next_step: str
     question: str
     facts: tuple[tuple[str, str], ...]
@@ -57,6 +59,7 @@ def contents(study: Study) -> Contents:
         banner=banner_of(study.platform, preempt_rt=[one.preempt_rt for one in study.records]) or None,
         answer=_answer(study, deciding),
         worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
+        missing=max((one for one in made if one.missing), key=lambda one: one.missing_share, default=None),
         next_step=_next_step(deciding, study.platform, found[0]),
         question=_question(study),
         facts=tuple(_facts(study)),

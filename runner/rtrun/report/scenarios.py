@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rtfiles.output import printable
-from rtfiles.quantities import grouped, time
+from rtfiles.quantities import grouped, percent, time
 from rtrun.analysis.figures import PERCENTILES, Figures
 from rtrun.judgement.digest import Digest, pool_figures
 from rtrun.judgement.groups import Group
@@ -18,6 +18,7 @@ from rtrun.plan.suites import in_words
 from rtrun.report.tables import Table, printable_table
 from rtrun.results.series import MEASURED_2014, NOTE_2014
 
+MUCH_MISSING = 0.01
 _PERCENTILES = tuple(p for p in PERCENTILES if p != 95.0)
 
 
@@ -48,6 +49,19 @@ class Scenario:
     def measured(self) -> str:
         """What its values measure, in words."""
         return in_words(printable(self.group.suite), self.group.series)
+
+    @property
+    def missing_share(self) -> float:
+        """The share of its values that never came, or were skipped."""
+        if (verdict := self.group.verdict) is not None:
+            return verdict.absent / verdict.n if verdict.n else 0.0
+        missing = sum(one.header.missing for one in self.group.digests)
+        return missing / (self.group.n + missing) if missing else 0.0
+
+    @property
+    def missing(self) -> str:
+        """That share in words, where so much is missing that its highest value says little; else empty."""
+        return f"{percent(self.missing_share)} missing" if self.missing_share >= MUCH_MISSING else ""
 
     @property
     def condition(self) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report.campaigns import latencies, oneshot_run
+from report.campaigns import latencies, message_run, oneshot_run
 from traced import specimen, write_traced_run
 
 from rtrun.analysis.figures import figures_of_samples
@@ -16,6 +16,7 @@ from rtrun.judgement.study import study
 from rtrun.plan.question import Question
 from rtrun.report.contents import Contents, contents
 from rtrun.report.how import DATA, explanations
+from rtrun.report.page import html
 
 REPORT = DATA.parent
 LATENCIES_NS = (latencies(5000, 1), latencies(3000, 2, mean_us=120.0))
@@ -152,3 +153,16 @@ def test_repeated_runs_are_reproduced_by_one_line_that_a_shell_takes(tmp_path: P
     measured = [how for what, how in table.rows if what == "measured"]
     line = "oneshot_timer_tests -p 'a b'"
     assert measured == [f"a and 1 like it: {line}", f"c: {line}", f"d: {line}"]
+
+
+@pytest.mark.parametrize(("lost", "text"), [(800, "80 % missing"), (5, "")])
+def test_a_worst_value_stands_beside_the_share_that_never_came(tmp_path, lost, text):
+    message_run(tmp_path, "a", [latencies(1000, 3)], lost=tuple(range(100, 100 + lost)))
+    analysed = study(tmp_path, Question(probability=1e-2))
+    written = contents(analysed)
+    page = html(analysed, written)
+    (scenario,) = written.scenarios
+    assert scenario.missing == text and (written.missing is scenario) is bool(text)
+    overview = re.findall(r'<a class="row.*?</a>', page, re.S)
+    assert [f'<span class="worst">{text}</span>' in row for row in overview] == [bool(text)]
+    assert (f'Most values missing: <a href="#{scenario.id}"><b>{text}</b>' in page) is bool(text)
