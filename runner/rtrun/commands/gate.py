@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
         )
         if not args.json:
             print_banner(analysed.platform)
-            asked = analysed.asked_in_words
+            asked = analysed.asked_in_full
     if args.json:
         print_json({"schema": 1, "passed": judged.passed, "cases": [asdict(case) for case in judged.cases]})
     else:

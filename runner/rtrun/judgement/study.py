@@ -109,13 +109,15 @@ class Study:
 
     @property
     def asked_in_words(self) -> str:
-        """What is asked, in words and in symbols: how many may be late, and how sure the answer has to be."""
+        """What is asked: how many may be late, and how sure the answer has to be."""
         asked = self.question
         late = "late" if asked.tolerance == NONE_TOLERATED else f"windows with more than {asked.tolerance} late"
-        return (
-            f"at most {one_in(asked.probability)} {late} (P({self.miss}) < {asked.probability:g}), "
-            f"{100 * asked.confidence:g} % sure"
-        )
+        return f"at most {one_in(asked.probability)} {late}, {100 * asked.confidence:g} % sure"
+
+    @property
+    def asked_in_full(self) -> str:
+        """What is asked, in words and as the probability of a miss."""
+        return f"{self.asked_in_words} (P({self.miss}) < {self.question.probability:g})"
 
     @property
     def as_in_2014(self) -> tuple[Group, ...]:

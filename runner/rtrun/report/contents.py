@@ -84,7 +84,7 @@ def _question(study: Study) -> str:
     asked = study.asked
     boots = f", on at least {asked.boots} boots" if asked.boots > 1 else ""
     bursts = f", covering {asked.covered}" if asked.bursts != 1 else ""
-    return f"Asked: {study.asked_in_words}, two-sided{boots}{bursts}."
+    return f"Asked: {study.asked_in_full}, two-sided{boots}{bursts}."
 
 
 def _answer(study: Study, made: Sequence[Scenario]) -> str:

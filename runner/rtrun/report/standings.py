@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 def question(study: Study) -> str:
     """The question that is answered."""
     boots = _count(study.question.boots, "boot", "")
-    return f"asked: {study.asked_in_words}, on at least {boots}, covering {study.question.covered}"
+    return f"asked: {study.asked_in_full}, on at least {boots}, covering {study.question.covered}"
 
 
 def table(standings: Sequence[Standing], width: int) -> "Table":
