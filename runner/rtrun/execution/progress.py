@@ -103,12 +103,14 @@ class BarProgress(PlainProgress):
         print_status("getting the target ready")
 
     def began(self, number: int, run: Run) -> None:
-        """Show the run's name."""
+        """Show what is measured."""
         super().began(number, run)
         if not self._bar.live.is_started:
             print_status("")
             self._bar.start()
-        self._bar.update(self._task, description=f"{number + 1}/{self._total} {run.name}", left_s=self._estimate.left_s)
+        # A run's name would leave no room for the bar.
+        what = f"{number + 1}/{self._total} {run.suite.removesuffix('_tests')}"
+        self._bar.update(self._task, description=what, left_s=self._estimate.left_s)
 
     def note(self, text: str) -> None:
         """Print a remark."""
