@@ -182,7 +182,7 @@ def boots_in_words(verdict: Verdict) -> str:
         return "on boots that are not known"
     if verdict.boots == 1:
         return "in this boot"
-    return f"for at least {percent(1 - verdict.unlike_share)} of boots"
+    return f"on {verdict.boots} boots (up to {percent(verdict.unlike_share)} of boots may behave differently)"
 
 
 def _bursts_in_words(verdict: Verdict) -> str:

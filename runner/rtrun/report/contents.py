@@ -11,7 +11,7 @@ from rtrun.causes.ranking import Ranking
 from rtrun.judgement.layers import layer_pairs
 from rtrun.judgement.study import Study
 from rtrun.judgement.topologies import MeasuredTopology, measured_topologies
-from rtrun.judgement.verdicts import boots_in_words, counts_in_words
+from rtrun.judgement.verdicts import ENOUGH_BOOTS, amount, boots_in_words, counts_in_words
 from rtrun.report import causes
 from rtrun.report.layers import LayerBar, stacks
 from rtrun.report.scenarios import Scenario, scenarios
@@ -20,6 +20,9 @@ from rtrun.report.tables import Table
 from rtrun.report.terminal import banner_of
 from rtrun.targets.inspection.facts import fact_text
 from rtrun.targets.inspection.platform import Platform
+
+MEASURE_AGAIN = "was something else busy? Stop it and measure again, or measure longer"
+"""What to do about an answer that a change prevents."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +63,7 @@ def contents(study: Study) -> Contents:
         answer=_answer(study, deciding),
         worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
         missing=max((one for one in made if one.missing), key=lambda one: one.missing_share, default=None),
-        next_step=_next_step(deciding, study.platform, found[0]),
+        next_step=_next_step(deciding, study, found[0]),
         question=_question(study),
         facts=tuple(_facts(study)),
         scenarios=made,
@@ -94,7 +97,7 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
     others = counts_in_words([one.answer for one in made if one.answer != Answer.REFUTED])
     first_ns, *others_ns = study.deadlines_ns
     deadline = "its deadline" if others_ns else f"the deadline of {time(first_ns)}"
-    hidden = f"; {len(study.left_out)} not analysed" if study.left_out else ""
+    hidden = f"; {len(study.left_out)} not analysed, see below" if study.left_out else ""
     asked = f"{hidden}. Asked: {study.asked_in_words}."
     if made and not total:
         return f"No deadline was given for any of {counted(len(made), 'scenario')}: --deadline TIME{hidden}."
@@ -127,28 +130,42 @@ def _all(total: int) -> str:
     return "the one scenario" if total == 1 else f"all {total} scenarios"
 
 
-def _next_step(made: Sequence[Scenario], platform: Platform, culprits: Ranking) -> str:
+def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str:
     """What to do next: where values are late and traces name a cause, its remedy."""
     answers = {one.answer for one in made}
     if culprits.outliers and answers & {Answer.REFUTED, Answer.NEEDS_MORE, Answer.NO_DEADLINE}:
         advice = next(causes.remedies(culprits), "")
         return f"{causes.answer(culprits)}{f'. {advice}' if advice else ''}"
-    if Answer.REFUTED in answers:
+    open_ = [verdict for one in made if (verdict := one.group.verdict) and verdict.answer is Answer.NEEDS_MORE]
+    if Answer.REFUTED in answers or any(_is_likely_refuted(verdict) for verdict in open_):
         return (
             "rtrun check-rt --target TARGET.yml lists what stands in the way of real time on the target; "
             "the plots below show when the late values came"
         )
-    wanted = [count for one in made if (verdict := one.group.verdict) and (count := _further(verdict))]
-    if Answer.NEEDS_MORE in answers and wanted:
-        return f"measure more: {grouped(max(wanted))} measurements a scenario are likely to decide it"
+    if any(verdict.change for verdict in open_):
+        return MEASURE_AGAIN
+    wanted = [(count, verdict) for verdict in open_ if (count := _further(verdict))]
+    if wanted:
+        count, verdict = max(wanted, key=lambda each: each[0])
+        return f"measure more: {amount(verdict, count, 'measurements')} a scenario are likely to decide it"
     if answers and answers <= {Answer.NO_STATEMENT}:
         return "measure where the time is real, on the board itself: rtrun run CAMPAIGN.yml --target BOARD.yml"
+    if answers == {Answer.PROVEN} and study.left_out:
+        return "find out why not all was analysed: rtrun gate RESULTS fails because of that"
     if answers == {Answer.PROVEN}:
-        option = " --platform virtual" if platform is Platform.VIRTUAL else ""
-        return f"keep it so: rtrun gate RESULTS{option} fails as soon as the answer is another one"
+        option = " --platform virtual" if study.platform is Platform.VIRTUAL else ""
+        gate = f"rtrun gate RESULTS{option} fails as soon as the answer is another one"
+        boots = min(one.group.verdict.boots_known for one in made if one.group.verdict)
+        more = f"measure on {ENOUGH_BOOTS} boots or more, as boots differ; " if boots < ENOUGH_BOOTS else ""
+        return f"{more}then keep it so: {gate}" if more else f"keep it so: {gate}"
     if answers and answers <= {Answer.PROVEN, Answer.IF_INDEPENDENT}:
         return "measure with samples, which show whether late values come in bursts; histograms and logs cannot"
     return f"see {'the scenarios below for what is missing' if made else 'below why it could not be analysed'}"
+
+
+def _is_likely_refuted(verdict: Verdict) -> bool:
+    likely = verdict.further_likely if verdict.change is None else None
+    return likely is not None and likely[0] is Answer.REFUTED
 
 
 def _further(verdict: Verdict) -> int | None:

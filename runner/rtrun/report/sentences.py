@@ -21,9 +21,6 @@ from rtrun.report.scenarios import Scenario
 if TYPE_CHECKING:
     from rich.table import Table
 
-MEASURE_AGAIN = "Was something else busy? Stop it and measure again, or measure longer."
-"""What to do about an answer that a change prevents."""
-
 
 def headline(study: Study, made: Sequence[Scenario]) -> str:
     """Where the deadline was missed, and on what kind of machine."""
@@ -85,13 +82,14 @@ def _seen(verdict: Verdict) -> str:
 
 
 def _follows(verdict: Verdict) -> list[str]:
-    most = f"at most {at_most_in(verdict.upper)} are late"
+    late = "late or missing" if verdict.absent else "late"
+    most = f"at most {at_most_in(verdict.upper)} are {late}"
     startup = [text] if (text := startup_in_words(verdict)) else []
     if verdict.refused:
         return [f"no statement, {verdict.refused}", *startup]
     match verdict.answer:
         case Answer.REFUTED:
-            return [f"at least {at_least_in(verdict.lower)} are late", *startup]
+            return [f"at least {at_least_in(verdict.lower)} are {late}", *startup]
         case Answer.PROVEN:
             return [most, *startup]
         case Answer.IF_INDEPENDENT:
@@ -117,7 +115,10 @@ def _open(verdict: Verdict, most: str) -> list[str]:
     elif verdict.further_likely is None:
         parts.append("at this rate, no number of measurements is likely to decide it")
     elif verdict.further_likely[1]:
-        parts.append(f"about {amount(verdict, verdict.further_likely[1], 'more')} {decide}")
+        answer, count = verdict.further_likely
+        more = f"about {amount(verdict, count, 'more')}"
+        is_worse = answer is Answer.REFUTED
+        parts.append(f"at this rate too many are late, {more} prove that" if is_worse else f"{more} {decide}")
     return parts
 
 

@@ -223,8 +223,8 @@ def _within(boot: Boot, of_heights: bool) -> tuple[Visits | None, list[Change]]:
 def _among_visits(places: Int64s, visits: Visits, loops: int, events: str, significant: float) -> Change:
     ends = np.append(visits.starts[1:], loops)
     counts = count_until(places, ends)
-    p_value, text = test_of_order(counts, np.diff(ends, prepend=0))
-    return Change(p_value=p_value, significant=significant, text=f"{events} of a load that comes and goes: {text}")
+    p_value, text = test_of_order(counts, np.diff(ends, prepend=0), events)
+    return Change(p_value=p_value, significant=significant, text=f"{text} visits of a load that comes and goes")
 
 
 def _turns(boot: Boot, visits: Visits) -> list[tuple[int, int]]:

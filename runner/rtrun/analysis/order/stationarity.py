@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rtfiles.output import counted
 from rtrun.analysis.chance.distributions import Floats, binomial_above, chi_squared_above
 from rtrun.analysis.order.units_in_order import find_order
 from rtrun.kinds.values import Int64s
@@ -84,8 +85,8 @@ def _in_pieces(positions: Int64s, loops: int, events: str, significant: float) -
     counts = count_until(positions, ends)
     if np.count_nonzero(counts) < 2:
         return []  # it may be one burst
-    p_value, text = test_of_order(counts, np.diff(ends, prepend=0))
-    return [Change(p_value=p_value, significant=significant, text=f"{events} in pieces of a run: {text}")]
+    p_value, text = test_of_order(counts, np.diff(ends, prepend=0), events)
+    return [Change(p_value=p_value, significant=significant, text=f"{text} pieces of a run")]
 
 
 def _by_places(positions: Int64s, loops: int, events: str, significant: float) -> list[Change]:
@@ -102,9 +103,19 @@ def _by_places(positions: Int64s, loops: int, events: str, significant: float) -
     if starts.size < _LEAST_FOR_PARTS:
         return [ends]
     parts_p, counts = test_of_parts(starts, loops)
-    text = f"{events} in eighths of a run: {', '.join(map(str, counts))}"
-    parts = Change(p_value=parts_p, significant=significant, text=text)
-    return [ends, parts]
+    return [ends, Change(p_value=parts_p, significant=significant, text=_uneven(counts, events))]
+
+
+def _uneven(counts: Int64s, events: str) -> str:
+    """Where a run has more events than elsewhere, from their counts in its eighths, in words."""
+    more = np.flatnonzero(counts > counts.mean())
+    first, last = (int(more[0]), int(more[-1])) if more.size else (0, PARTS)
+    if more.size != last - first + 1:
+        return f"{events} do not come evenly, in eighths of a run: {', '.join(map(str, counts))}"
+    inside = f"{counts[more].sum()} of {counts.sum()} {events} lie in"
+    if not first or last == PARTS - 1:
+        return f"{inside} the {'last' if first else 'first'} {counted(more.size, 'eighth')} of a run"
+    return f"{inside} {counted(more.size, 'eighth')} of a run, after {100 * first / PARTS:.3g} % of it"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -153,18 +164,19 @@ def beyond_even(counts: Int64s, loops: Int64s) -> Floats:
     return np.asarray((counts - counts.sum() * (loops / loops.sum())) / np.sqrt(np.maximum(loops, 1)))
 
 
-def test_of_order(counts: Int64s, loops: Int64s) -> tuple[float, str]:
+def test_of_order(counts: Int64s, loops: Int64s, events: str) -> tuple[float, str]:
     """P-value of the test that the order of units does not matter to their events, and the strongest sign in words.
 
-    `counts` and `loops` are int64 (m,), events and loops of units (boots, turns of a load) in the order of time.
+    `counts` and `loops` are int64 (m,), events and loops of units (pieces, visits of a load) in the order of time. The
+    words end before the name of the units.
     """
     order = find_order([beyond_even(counts, loops)], by_height=True)
     if order is None:
-        return 1.0, "they come as often in each"
+        return 1.0, f"{events} come as often in each of {counts.size}"
     number = order.count or counts.size // 2
     is_last = order.where in ("last", "rising")
     inside = int(counts[counts.size - number :].sum() if is_last else counts[:number].sum())
     return (
         order.p_value,
-        f"{inside} of {counts.sum()} lie in the {'last' if is_last else 'first'} {number} of {counts.size}",
+        f"{inside} of {counts.sum()} {events} lie in the {'last' if is_last else 'first'} {number} of {counts.size}",
     )
