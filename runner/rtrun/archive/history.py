@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from rtfiles.output import print_line, printable
+from rtfiles.output import print_line
 from rtfiles.quantities import grouped, time
 from rtrun.archive import By
 from rtrun.archive.queries import Point
+from rtrun.report.tables import Table
 from rtrun.targets.inspection.platform import Platform
 
 _SHOWN = (50.0, 99.0, 99.9, 99.99)
@@ -21,27 +22,24 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
     print_banner(Platform(points[0].platform))
     # The column that --by names comes first, and is not repeated among the others.
     leading = {"kernel": ("kernel", "board"), "board": ("board", "kernel")}.get(by, (by, "board", "kernel"))
-    percentiles = [f"p{p:g}" for p in _SHOWN]
-    rows = [[*leading, "runs", "boots", "n", *percentiles, "max", f"P(> {time(deadline_ns)})"]]
+    columns = (*leading, "runs", "boots", "n", *(f"p{p:g}" for p in _SHOWN), "max", f"P(> {time(deadline_ns)})")
+    rows = []
     for point in points:
         names: dict[str, str] = {by: point.label, "board": point.machine, "kernel": point.kernel or "unknown"}
         rows.append(
-            [
-                *(printable(names[heading]) for heading in leading),
+            (
+                *(names[heading] for heading in leading),
                 f"{len(point.run_keys)}{f', {point.off_rate} off rate' if point.off_rate else ''}",
                 str(point.boots),
                 grouped(point.n),
                 *(time(point.percentiles_ns[p]) for p in _SHOWN),
                 time(point.max_ns),
                 misses_text(point),
-            ]
+            )
         )
-    # Not with rich, which takes 5 ms per row: there may be thousands.
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    rows.insert(1, ["─" * width for width in widths])
-    for row in rows:
-        cells = [f"{text:{'<' if k < len(leading) else '>'}{widths[k]}}" for k, text in enumerate(row)]
-        print_line(("──" if row is rows[1] else "  ").join(cells).rstrip())
+    # Wider than a screen rather than a list: there may be thousands of rows.
+    for line in Table(columns=columns, rows=rows, numbers=range(len(leading), len(columns))).lines():
+        print_line(line.plain)
 
 
 def misses_text(point: Point) -> str:

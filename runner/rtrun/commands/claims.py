@@ -24,10 +24,10 @@ def run(args: argparse.Namespace) -> int:
     """Print the claims. Raises UsageError when there is nothing to examine."""
     import dataclasses
 
-    from rtfiles.output import listed, print_json, print_line
+    from rtfiles.output import console, listed, print_json, print_line
     from rtrun.judgement.study import study
     from rtrun.plan.question import Question
-    from rtrun.report.screen import print_rows, print_styled
+    from rtrun.report.screen import print_styled
     from rtrun.report.terminal import print_banner
     from rtrun.thesis.examiners import examine_claims
     from rtrun.thesis.published import published_figures
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
             print_line(f"           test: {result.test}; runs: {shown}")
     if published.rows:
         print_line(f"{published.title}: {published.outcome}")
-        print_rows(published)
+        console().print(published)
         for text in published.notes:
             print_line(text)
     for text in analysed.left_out:

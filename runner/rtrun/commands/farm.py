@@ -114,21 +114,20 @@ def _facts(place: "LabgridPlace", offered: "Sequence[OfferedResource]", last: "R
 
 def _print(facts: "Sequence[dict[str, Any]]", *, with_runs: bool, as_json: bool) -> None:
     from rtfiles.output import console, counted, print_json, print_line, print_note
-    from rtrun.report.screen import fitted
+    from rtrun.report.tables import Table
 
     if as_json:
         print_json({"schema": 1, "places": facts})
         return
     bad = [each for each in facts if each["quarantine"] or each["not_offered"]]
     print_line(f"{counted(len(facts), 'place')}, {len(bad)} of them cannot be measured on")
-    headings = ("place", "state", "last run", "platform", "kernel", "max °C", "console", "power cycles")
-    screen = console()
-    screen.print(fitted(headings, [_row(each) for each in facts], (5, 7), screen.width))
+    columns = ("place", "state", "last run", "platform", "kernel", "max °C", "console", "power cycles")
+    console().print(Table(columns=columns, rows=[_row(each) for each in facts], numbers=(5, 7)))
     if not with_runs:
         print_note("rtrun: --archive ARCHIVE knows the last run of each")
 
 
-def _row(facts: dict[str, Any]) -> list[str]:
+def _row(facts: dict[str, Any]) -> tuple[str, ...]:
     run = facts["last_run"]
     if run is None:
         last, platform, kernel, celsius = [_UNKNOWN] * 4
@@ -140,7 +139,7 @@ def _row(facts: dict[str, Any]) -> list[str]:
         celsius = f"{run['temperature_max_mc'] / 1000:.1f}" if run["temperature_max_mc"] else _UNKNOWN
     switch = facts["has_power_switch"]
     power = "no switch" if switch is False else str(facts["power_cycles"])
-    return [facts["place"], _state(facts), last, platform, kernel, celsius, facts["console"] or _UNKNOWN, power]
+    return facts["place"], _state(facts), last, platform, kernel, celsius, facts["console"] or _UNKNOWN, power
 
 
 def _state(facts: dict[str, Any]) -> str:

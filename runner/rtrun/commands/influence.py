@@ -72,7 +72,6 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.plan.question import Question
     from rtrun.plan.topology.reading import read_topology
     from rtrun.report import influence
-    from rtrun.report.screen import print_rows
     from rtrun.report.terminal import print_banner
     from rtrun.results import run_directory
     from rtrun.results.record import RunStatus
@@ -99,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         print_banner(measured.platform)
         print_line(f"{found.title}: {found.outcome}.")
-        print_rows(found)
+        console().print(found)
         for line in (*found.notes, *bad):
             print_line(line)
     return 3 if bad else 0

@@ -53,9 +53,8 @@ def print_answers(study: "Study") -> None:
     print_line(question(study))
     every = standings(study)
     groups = [each for each in every if each.has_deadline]
-    screen = console()
     if groups:
-        screen.print(table(groups, screen.width))
+        console().print(table(groups))
     if without := len(every) - len(groups):
         print_line(f"{counted(without, 'group')} without a deadline: --deadline TIME gives all of them one")
     for text in (*reasons(groups), *startups(groups)):

@@ -29,11 +29,10 @@ def run(args: argparse.Namespace) -> int:
     """Print the answer, the remedies, the worst outliers, the ranking, and what else is known; write FILE."""
     from rtfiles import atomic
     from rtfiles.errors import UsageError
-    from rtfiles.output import counted, print_json, print_line
+    from rtfiles.output import console, counted, print_json, print_line
     from rtrun.causes.ftrace import refuse_trace_cmd
     from rtrun.report import causes, late_paths
     from rtrun.report.perfetto import perfetto
-    from rtrun.report.screen import print_rows
     from rtrun.report.tracing_cost import thresholds, tracing_cost_at
     from rtrun.results.goal_file import read_goal
     from rtrun.results.reading import find_source
@@ -81,14 +80,14 @@ def run(args: argparse.Namespace) -> int:
     if table.rows:
         print_line()
         print_line(f"{table.title}:")
-        print_rows(table)
+        console().print(table)
     for note in (*table.notes[len(advice) :], *thresholds([read_record(folder) for folder in source.folders], of)):
         print_line(note)
     for more in (causes.step_table(explained), paths, periods, surroundings, cost):
         if more is not None and more.rows:
             print_line()
             print_line(f"{more.title}: {more.outcome}")
-            print_rows(more)
+            console().print(more)
     if args.perfetto is not None:
         print_line(f"written for ui.perfetto.dev: {args.perfetto}")
     if problems:

@@ -95,7 +95,7 @@ def periods(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]
         columns=("run", "output", "highest values", "come every", "periods that have one", "p"),
         rows=rows,
         outcome=f"every {named[0][0]}, in {counted(named[0][1], 'output')}" if named else "",
-        numbers=2,
+        numbers=range(2, 6),
         how="periods",
     ), refused
 
@@ -147,7 +147,7 @@ def surroundings(source: Source, of: Measure | None) -> tuple[Table, tuple[str, 
             for one in found
         ],
         outcome=f"{named[0][0]}, in {counted(named[0][1], 'output')}" if named else "",
-        numbers=4,
+        numbers=range(4, 7),
         notes=(
             "Medians of the tenth of all observations with the highest values, and of the others. What coincides need "
             "not be the cause.",
@@ -258,7 +258,7 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
         ]
         + [nothing] * bool(is_all_explained),
         outcome=answer(ranking),
-        numbers=3,
+        numbers=range(3, 8),
         notes=(
             *remedies(ranking),
             *(printable(limit) for limit in dict.fromkeys(limit for one in explained for limit in one.limits)),
@@ -307,6 +307,7 @@ def step_table(explained: Sequence[Explained]) -> Table:
             for step, of_step in lengths.items()
             if of_step
         ],
+        numbers=range(1, 5),
         outcome=f"longest in step '{longest}', {_percent(sum(lengths[longest]), whole_ns)} of their latency",
     )
 

@@ -12,12 +12,12 @@ from xml.etree import ElementTree
 from rtfiles.errors import UsageError
 from rtfiles.invocation import install_extra
 from rtfiles.output import printable
-from rtrun.analysis.figures import PERCENTILES
 from rtrun.judgement.digest import Digest
 from rtrun.judgement.gate import Gate
 from rtrun.judgement.study import Study
 from rtrun.report.contents import Contents
 from rtrun.report.how import explanations
+from rtrun.report.quantities import lost, times_ns, us
 from rtrun.report.run_facts import fingerprint
 from rtrun.report.tables import Table
 
@@ -49,7 +49,7 @@ def markdown(contents: Contents) -> str:
 
 def _markdown_table(table: Table) -> list[str]:
     lines = ["| " + " | ".join(table.columns) + " |"]
-    lines.append("|" + "|".join("---:" if k >= table.numbers else "---" for k in range(len(table.columns))) + "|")
+    lines.append("|" + "|".join("---:" if k in table.numbers else "---" for k in range(len(table.columns))) + "|")
     for place, row in enumerate(table.rows):
         rows = (row, *table.parts.get(place, ()))
         lines += ["| " + " | ".join(_plain(cell) for cell in cells) + " |" for cells in rows]
@@ -119,10 +119,7 @@ def _series(one: Digest) -> dict[str, Any]:
         "figures": _data(one.figures),
         "startup": _data(one.header.startup),
         "negative_cluster": _data(one.cluster),
-        "missing": one.header.missing,
-        "out_of_order": one.header.out_of_order,
-        "duplicate": one.header.duplicate,
-        "not_fired": one.header.not_fired,
+        **lost(one.header),
         "remarks": list(one.header.remarks),
     }
 
@@ -157,12 +154,11 @@ def lava(study: Study, gate: Gate) -> str:
     """In each line, the arguments for LAVA's `lava-test-case`: the gate's cases, and figures as measurements."""
     lines = [f"{_test_case(case.about)} --result {'pass' if case.passed else 'fail'}" for case in gate.cases]
     for one in study.digests:
-        figures = {f"p{p:g}": one.figures.percentiles_ns.get(p) for p in PERCENTILES} | {"max": one.figures.max_ns}
         lines += [
             f"{_test_case(f'{one.run} {one.header.output} {name}')} --result pass --measurement {value / 1000:g} "
             "--units us"
-            for name, value in figures.items()
-            if value is not None
+            for name, value in times_ns(one.figures).items()
+            if value is not None and name not in ("min", "mean", "std")
         ]
     return "".join(f"{line}\n" for line in lines)
 
@@ -181,25 +177,16 @@ def rows(study: Study) -> list[dict[str, Any]]:
 
 
 def _plain_row(one: Digest) -> dict[str, Any]:
-    f = one.figures
-    row: dict[str, Any] = {
+    header, parameters = one.header, one.header.parameters
+    return {
         "run": one.run,
-        "suite": one.header.suite,
-        "output": one.header.output,
-        "series": one.header.series,
+        **{name: getattr(header, name) for name in ("suite", "output", "series")},
+        **{key: None if parameters.get(key) is None else str(parameters[key]) for key in _PARAMETERS},
+        "platform": header.platform,
+        "n": one.n,
+        **{f"{name}_us": us(value_ns) for name, value_ns in times_ns(one.figures).items()},
+        **lost(header),
     }
-    row |= {
-        key: None if one.header.parameters.get(key) is None else str(one.header.parameters[key]) for key in _PARAMETERS
-    }
-    row |= {"platform": one.header.platform, "n": f.n, "min_us": _us(f.min_ns), "mean_us": _us(f.mean_ns)}
-    row |= {"std_us": _us(f.std_ns)}
-    row |= {f"p{p:g}_us": _us(f.percentiles_ns.get(p)) for p in PERCENTILES}
-    row |= {"max_us": _us(f.max_ns), "missing": one.header.missing, "out_of_order": one.header.out_of_order}
-    return row | {"duplicate": one.header.duplicate, "not_fired": one.header.not_fired}
-
-
-def _us(value_ns: float | None) -> float | None:
-    return None if value_ns is None else value_ns / 1000
 
 
 def as_csv(study: Study) -> str:

@@ -28,7 +28,7 @@ def table(found: Sequence[Influence], confidence: float) -> Table:
         columns=("measured", "beside it", "n", *_FIGURES),
         rows=rows,
         outcome=_outcome(found),
-        numbers=2,
+        numbers=range(2, 3 + len(_FIGURES)),
         notes=(
             "Alone: the medians of the runs. Beside others: what that adds, ± half of its "
             f"{100 * confidence:g} % confidence interval. Periods that the first node skipped are in no n.",

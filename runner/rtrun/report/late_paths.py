@@ -49,7 +49,7 @@ def late_paths(folders: Sequence[Path]) -> tuple[Table | None, tuple[str, ...]]:
         columns=("run", "path", "part", "late", "otherwise", "of what made them late"),
         rows=rows,
         outcome=_outcome(found),
-        numbers=3,
+        numbers=range(3, 6),
         notes=("Means of the late ones and of the others, from the tables of the nodes themselves.",),
     ), tuple(refused)
 

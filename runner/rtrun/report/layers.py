@@ -24,7 +24,6 @@ def table(pairs: Sequence[LayerPair], confidence: float) -> Table:
         columns=("layer", "layer above", *(f"adds to {figure}" for figure in _FIGURES), "how"),
         rows=[_row(pair) for pair in pairs],
         outcome=f"{counted(len(pairs), 'pair')} of layers compared",
-        numbers=9,
         notes=(
             f"In brackets: {100 * confidence:g} % confidence intervals.",
             "Means are added up from layer to layer; quantiles and P(late) of layers do not add up.",

@@ -9,18 +9,18 @@ from rtrun.flows.live import LiveRow, Snapshot, worst_first
 from rtrun.kinds.kind import StreamKind
 from rtrun.kinds.messages import STREAM as MESSAGES
 from rtrun.kinds.timer import STREAM as TIMER
-from rtrun.report.screen import fitted
+from rtrun.report.tables import Table
 
 if TYPE_CHECKING:
     from rich.console import Group
     from rich.live import Live
 
-_HEADINGS = ("what", "of", "number", "rate/Hz", "median", "p99", "worst", "lost", "misses")
+_COLUMNS = ("what", "of", "number", "rate/Hz", "median", "p99", "worst", "lost", "misses")
 _ROUND_THE_TABLE = 5  # lines of a screen outside the table
 
 
-def live_table(snapshot: Snapshot, width: int, height: int) -> "Group":
-    """Messages, timers and paths for a screen of this size, those with misses first, and what is missing."""
+def live_table(snapshot: Snapshot, height: int) -> "Group":
+    """Messages, timers and paths for a screen of this height, those with misses first, and what is missing."""
     from rich.console import Group
     from rich.text import Text
 
@@ -29,7 +29,7 @@ def live_table(snapshot: Snapshot, width: int, height: int) -> "Group":
     lines = [f"{duration(snapshot.observed_s)} observed"]
     if len(rows) > fitting:
         lines.append(f"{counted(len(rows) - fitting, 'more stream')} not shown")
-    shown = fitted(_HEADINGS, [_cells(row) for row in rows[:fitting]], range(2, len(_HEADINGS)), width)
+    shown = Table(columns=_COLUMNS, rows=[_cells(row) for row in rows[:fitting]], numbers=range(2, len(_COLUMNS)))
     return Group(shown, *(Text(line, no_wrap=True) for line in (*lines, *snapshot.remarks)))
 
 
@@ -103,6 +103,6 @@ class LiveView:
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot."""
         if self._live is not None:
-            self._live.update(live_table(snapshot, self._console.width, self._console.height), refresh=True)
+            self._live.update(live_table(snapshot, self._console.height), refresh=True)
         else:
             print_line(live_json(snapshot) if self._as_json else live_line(snapshot))

@@ -13,6 +13,7 @@ from rtrun.report.plots import axes
 from rtrun.report.plots.charts import plots
 from rtrun.report.plots.graph import drawn_topology
 from rtrun.report.plots.stacks import stacked
+from rtrun.report.quantities import times_ns
 from rtrun.report.scenarios import Scenario
 
 # The style class of an answer, which gives its colour, and its mark, for eyes and paper without colours.
@@ -25,7 +26,8 @@ _ANSWERS: dict[str, tuple[str, str]] = {
     "no deadline": ("none", "–"),
 }
 _OPENED = 3  # cards of failed scenarios that are open from the start
-_PICTURED = {"median": 50.0, "p99": 99.0, "p9999": 99.99}
+# In the overview, by the classes of their styles.
+_PICTURED = {"min": "min", "median": "p50", "p99": "p99", "p9999": "p99.99", "max": "max"}
 
 
 def html(study: Study, contents: Contents) -> str:
@@ -60,7 +62,8 @@ def _card(study: Study, scenario: Scenario) -> dict[str, Any]:
 def _overview(cards: list[dict[str, Any]]) -> dict[str, Any] | None:
     """The picture of all scenarios on one logarithmic axis, in percentages of its width; None without scenarios."""
     measured = [card for card in cards if card["scenario"].figures.max_ns is not None]
-    values_ns = [value for card in measured for value in _ends(card["scenario"]) if value is not None and value > 0]
+    known = [value for card in measured for value in (*_pictured_ns(card).values(), _deadline_ns(card))]
+    values_ns = [value for value in known if value is not None and value > 0]
     if not values_ns:
         return None
     axis = axes.times("", Scale(division=Division.LOG, low=min(values_ns) / 1.3, high=max(values_ns) * 1.3))
@@ -70,24 +73,26 @@ def _overview(cards: list[dict[str, Any]]) -> dict[str, Any] | None:
 
     rows = []
     for card in measured:
-        figures, question = card["scenario"].figures, card["scenario"].group.question
-        known = {name: figures.percentiles_ns.get(percent) for name, percent in _PICTURED.items()}
-        told = {"min": figures.min_ns, **known, "max": figures.max_ns}
+        told = _pictured_ns(card)
         rows.append(
             {
                 "card": card,
                 "at": {name: at(value) for name, value in told.items()},
-                "below": figures.min_ns is not None and figures.min_ns < axis.scale.low,
-                "deadline": at(question.deadline_ns) if question else None,
+                "below": told["min"] is not None and told["min"] < axis.scale.low,
+                "deadline": at(_deadline_ns(card)),
                 "told": ", ".join(f"{name.replace('p9999', 'p99.99')} {time(ns)}" for name, ns in told.items()),
             }
         )
-    deadlines = {card["scenario"].group.question.deadline_ns for card in measured if card["scenario"].group.question}
+    deadlines = {_deadline_ns(card) for card in measured} - {None}
     limit = f"deadline {time(deadlines.pop())}" if len(deadlines) == 1 else "deadline" if deadlines else ""
     return {"rows": rows, "ticks": [(at(value), text) for value, text in axis.ticks], "limit": limit}
 
 
-def _ends(scenario: Scenario) -> list[float | None]:
-    figures, question = scenario.figures, scenario.group.question
-    known = [figures.min_ns, *map(figures.percentiles_ns.get, _PICTURED.values()), figures.max_ns]
-    return [*known, question.deadline_ns if question else None]
+def _pictured_ns(card: dict[str, Any]) -> dict[str, float | None]:
+    times = times_ns(card["scenario"].figures)
+    return {style: times[name] for style, name in _PICTURED.items()}
+
+
+def _deadline_ns(card: dict[str, Any]) -> int | None:
+    question = card["scenario"].group.question
+    return question.deadline_ns if question else None

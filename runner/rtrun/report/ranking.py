@@ -12,10 +12,9 @@ from rtrun.judgement.groups import Group, format_parameters
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import severity, verdict_line
 from rtrun.plan.suites import middleware_of
+from rtrun.report.quantities import times_ns
 from rtrun.report.tables import Table
 from rtrun.targets.inspection.platform import Platform
-
-_QUANTILES = (99.99, 99.0, 50.0)
 
 
 def ranking(study: Study) -> Table:
@@ -26,21 +25,10 @@ def ranking(study: Study) -> Table:
     return Table(
         id="ranking",
         title="Middlewares ranked",
-        columns=(
-            "what",
-            "rank",
-            "middleware",
-            "answer",
-            "late",
-            "P(late) at most",
-            "max",
-            "p99.99",
-            "p99",
-            "median",
-        ),
+        columns=("what", "rank", "middleware", "answer", "late", "P(late) at most", "max", "p99.99", "p99", "median"),
         rows=rows,
         outcome=f"{counted(len(compared), 'comparison')} of middlewares",
-        numbers=4,
+        numbers=range(4, 10),
         notes=(
             "Ranked by the answer, then by the upper end of the interval of P(late), then by p99. Neighbours may have "
             "changed places by chance: rtrun compare --by middleware says which of two differ.",
@@ -84,6 +72,7 @@ def _rank(one: _Ranked) -> tuple[float, ...]:
 
 
 def _row(place: int, one: _Ranked) -> tuple[str, ...]:
+    times = times_ns(one.figures)
     return (
         _what(one.group) if place == 1 else "",
         str(place),
@@ -91,6 +80,5 @@ def _row(place: int, one: _Ranked) -> tuple[str, ...]:
         one.answer,
         f"{grouped(one.verdict.misses)} of {grouped(one.verdict.n)}",
         f"{one.verdict.upper:.2g}",
-        time(one.figures.max_ns),
-        *(time(one.figures.percentiles_ns.get(quantile)) for quantile in _QUANTILES),
+        *(time(times[name]) for name in ("max", "p99.99", "p99", "p50")),
     )

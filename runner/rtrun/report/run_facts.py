@@ -34,7 +34,13 @@ def allocations(study: Study) -> Table:
     )
     outcome = f"{some} of {counted(len(rows), 'program')} allocated memory while measuring"
     return Table(
-        id="allocations", title="Allocations", columns=columns, rows=rows, outcome=outcome, numbers=2, notes=notes
+        id="allocations",
+        title="Allocations",
+        columns=columns,
+        rows=rows,
+        outcome=outcome,
+        numbers=range(2, 7),
+        notes=notes,
     )
 
 
@@ -64,9 +70,7 @@ def environment_table(study: Study) -> Table:
     outcome = (
         f"{len(rows)} facts about {', '.join(sorted({record.target.name for record in study.records})) or 'a file'}"
     )
-    return Table(
-        id="environment", title="Environment", columns=("what", "found"), rows=rows, outcome=outcome, numbers=9
-    )
+    return Table(id="environment", title="Environment", columns=("what", "found"), rows=rows, outcome=outcome)
 
 
 def reproduce(study: Study) -> Table:
@@ -95,7 +99,6 @@ def reproduce(study: Study) -> Table:
         columns=("what", "how"),
         rows=rows,
         outcome=f"{counted(len(study.records), 'run')}, input sha256 {digest}",
-        numbers=9,
     )
 
 

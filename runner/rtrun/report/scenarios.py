@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from rtfiles.output import printable
 from rtfiles.quantities import grouped, percent, time
-from rtrun.analysis.figures import PERCENTILES, Figures
+from rtrun.analysis.figures import Figures
 from rtrun.judgement.digest import Digest, pool_figures
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
@@ -15,11 +15,12 @@ from rtrun.judgement.verdicts import severity, verdict_line
 from rtrun.kinds.known import CLUSTERED
 from rtrun.plan.conditions import IDLE
 from rtrun.plan.suites import in_words
+from rtrun.report.quantities import LOST, times_ns
 from rtrun.report.tables import Table, printable_table
 from rtrun.results.series import MEASURED_2014, NOTE_2014
 
 MUCH_MISSING = 0.01
-_PERCENTILES = tuple(p for p in PERCENTILES if p != 95.0)
+_SHOWN = ("max", "p99.999", "p99.99", "p99.9", "p99", "p90", "p50", "min", "mean", "std")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,24 +117,17 @@ def _scenario(group: Group, label: str, study: Study) -> Scenario:
 
 def _figures(every: Sequence[Digest]) -> Table:
     """A row for each series, with its outputs as parts of the row. Losses are shown only where there were some."""
-    losses = {
-        "missing": [one.header.missing for one in every],
-        "out of order": [one.header.out_of_order for one in every],
-        "again": [one.header.duplicate for one in every],
-        "not fired": [one.header.not_fired for one in every],
-        "skipped": [one.header.skipped for one in every],
-    }
-    lost = {name: counts for name, counts in losses.items() if any(counts)}
+    losses = {**LOST, "skipped": "skipped"}
+    lost = {name: losses[name] for name in losses if any(getattr(one.header, name) for one in every)}
     labels = output_labels(every)
     by_series: dict[str, list[int]] = {}
     for place, one in enumerate(every):
         by_series.setdefault(one.header.series, []).append(place)
 
     def row(name: str, series: str, figures: Figures, places: Sequence[int]) -> tuple[str, ...]:
-        cells = [name, series, time(figures.max_ns)]
-        cells += [time(figures.percentiles_ns.get(p)) for p in reversed(_PERCENTILES)]
-        cells += [*map(time, (figures.min_ns, figures.mean_ns, figures.std_ns)), grouped(figures.n)]
-        return (*cells, *(str(sum(counts[k] for k in places)) for counts in lost.values()))
+        times = times_ns(figures)
+        counts = (str(sum(getattr(every[k].header, what) for k in places)) for what in lost)
+        return (name, series, *(time(times[what]) for what in _SHOWN), grouped(figures.n), *counts)
 
     rows: list[tuple[str, ...]] = []
     parts = {}
@@ -152,14 +146,13 @@ def _figures(every: Sequence[Digest]) -> Table:
     if any(one.header.series == MEASURED_2014 for one in every):
         notes.append(NOTE_2014)
     notes += [f"{one.header.output}: {remark}" for one in every for remark in one.header.remarks]
-    highest_first = tuple(f"p{p:g}" for p in reversed(_PERCENTILES))
     return Table(
         id="figures",
         title="Figures",
-        columns=("run", "series", "max", *highest_first, "min", "mean", "std", "n", *lost),
+        columns=("run", "series", *_SHOWN, "n", *lost.values()),
         rows=rows,
         parts=parts,
-        numbers=2,
+        numbers=range(2, 3 + len(_SHOWN) + len(lost)),
         notes=tuple(dict.fromkeys(notes)),
         how="figures",
     )
@@ -212,7 +205,9 @@ def _startup(every: Sequence[Digest]) -> Table:
         rows.append(
             (_pool_label([one for _, one in members]), series, f"{time(min(values_ns))} to {time(max(values_ns))}")
         )
-    return Table(id="startup", title="Start-up", columns=("run", "series", "values"), rows=rows, parts=parts, numbers=2)
+    return Table(
+        id="startup", title="Start-up", columns=("run", "series", "values"), rows=rows, parts=parts, numbers=range(2, 3)
+    )
 
 
 def _clusters(every: Sequence[Digest]) -> Table:
@@ -223,7 +218,9 @@ def _clusters(every: Sequence[Digest]) -> Table:
             place = [time(value) for value in (c.median_ns, c.low_ns, c.high_ns)]
             rows.append((one.run, CLUSTERED[one.header.series], f"{100 * c.fraction:.3f}", *place))
     columns = ("run", "jitter", "share %", "median", "lowest", "highest")
-    return Table(id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=2)
+    return Table(
+        id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=range(2, 6)
+    )
 
 
 def _rates(group: Group) -> Table:
@@ -239,7 +236,7 @@ def _rates(group: Group) -> Table:
         for name, rate in record.rates.items()
     ]
     columns = ("run", "program", "asked Hz", "achieved Hz", "overruns", "skipped periods")
-    return Table(id="rates", title="Rates", columns=columns, rows=rows, numbers=2)
+    return Table(id="rates", title="Rates", columns=columns, rows=rows, numbers=range(2, 6))
 
 
 def _costs(group: Group) -> Table:
@@ -263,7 +260,7 @@ def _costs(group: Group) -> Table:
         "Of all threads of a program while it measured: page faults without and with reading from a disk, switches to "
         "other threads because it waited, and because it was preempted.",
     )
-    return Table(id="costs", title="Costs", columns=columns, rows=rows, numbers=2, notes=notes)
+    return Table(id="costs", title="Costs", columns=columns, rows=rows, numbers=range(2, 7), notes=notes)
 
 
 def _number(value: float | None) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rtfiles.output import counted, printable
 from rtfiles.quantities import duration, grouped
@@ -21,10 +21,7 @@ from rtrun.judgement.verdicts import (
     startup_in_words,
 )
 from rtrun.plan.goal import Goal
-from rtrun.report.screen import fitted
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from rtrun.report.tables import Table
 
 
 def question(study: Study) -> str:
@@ -33,9 +30,9 @@ def question(study: Study) -> str:
     return f"asked: {study.asked_in_full}, on at least {boots}, covering {study.question.covered}"
 
 
-def table(standings: Sequence[Standing], width: int) -> "Table":
-    """A row for each group: its answer and the numbers that it rests on; fits a screen of this width."""
-    headings = ("group", "answer", "P(miss)", "misses", "boots", "time")
+def table(standings: Sequence[Standing]) -> Table:
+    """A row for each group: its answer and the numbers that it rests on."""
+    columns = ("group", "answer", "P(miss)", "misses", "boots", "time")
     rows = [
         (
             _name(standing),
@@ -48,7 +45,7 @@ def table(standings: Sequence[Standing], width: int) -> "Table":
         for standing in standings
         for verdict in (standing.verdict,)
     ]
-    return fitted(headings, rows, range(2, 6), width)
+    return Table(columns=columns, rows=rows, numbers=range(2, 6))
 
 
 def reasons(standings: Sequence[Standing]) -> Iterator[str]:

@@ -5,15 +5,15 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from rich import box
 from rich.console import Group
-from rich.table import Table
 from rich.text import Text
 
 from rtfiles.output import counted, print_line, printable
 from rtfiles.quantities import time
 from rtrun.plan.observation import stream_words
 from rtrun.plan.suites import NOT_TELLING, Value, find_suite, options, output_name
+from rtrun.report.quantities import times_ns
+from rtrun.report.tables import Table
 from rtrun.results.rate import OFF_MAX
 from rtrun.results.series import MEASURED_2014, NOTE_2014, Header, Result
 from rtrun.targets.inspection.platform import Platform, weakest
@@ -29,38 +29,19 @@ NO_PREEMPT_RT = "NO PREEMPT_RT: this kernel promises no deadline"
 PREEMPT_RT_IN_PART = "PREEMPT_RT IN PART OF THE RUNS: the kernel of the others promises no deadline"
 COARSE_NS = 10_000_000  # from here on a tenth of a microsecond is not worth a column
 
+_SHOWN = ("min", "mean", "max", "p99", "p99.9")
 _UNITS = {"timeout_us": "us", "frequency_hz": "Hz", "payload_bytes": "B", "subscribers": "sub"}
 
 
 def table(results: Sequence[Result]) -> Table:
     """The table of these results, a row each, times in microseconds; it fits into 80 columns."""
-    made = Table(box=box.SIMPLE, padding=0, show_edge=False)
-    made.add_column("suite", min_width=len("communication"))
-    made.add_column("parameters", min_width=len("parameters"))
-    for heading in ("n", "min\nus", "avg\nus", "max\nus", "p99\nus", "p99.9\nus", "missing", "out of\norder"):
-        made.add_column(heading, justify="right", no_wrap=True)
-    labels = _labels([result.header for result in results])
-    for result, (name, parameters) in zip(results, labels, strict=True):
-        header, figures = result.header, result.figures
-        percentiles = figures.percentiles_ns
-        made.add_row(
-            Text(printable(name)),
-            Text(printable(parameters)),
-            str(figures.n),
-            *(
-                _time(value_ns, figures.bin_ns)
-                for value_ns in (
-                    figures.min_ns,
-                    figures.mean_ns,
-                    figures.max_ns,
-                    percentiles.get(99.0),
-                    percentiles.get(99.9),
-                )
-            ),
-            str(header.missing),
-            str(header.out_of_order),
-        )
-    return made
+    rows = []
+    for result, label in zip(results, _labels([result.header for result in results]), strict=True):
+        header, figures, times = result.header, result.figures, times_ns(result.figures)
+        shown = (_time(times[name], figures.bin_ns) for name in _SHOWN)
+        rows.append((*label, str(figures.n), *shown, str(header.missing), str(header.out_of_order)))
+    columns = ("suite", "parameters", "n", *(f"{name} us" for name in _SHOWN), "missing", "out of order")
+    return Table(columns=columns, rows=rows, numbers=range(2, 10), gap=1)
 
 
 def _labels(headers: Sequence[Header]) -> list[tuple[str, str]]:

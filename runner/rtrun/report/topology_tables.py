@@ -33,7 +33,7 @@ def hop_table(measured: Sequence[MeasuredTopology]) -> Table:
             for label, hop in hops
         ],
         outcome=f"{grouped(lost)} of {grouped(sum(hop.sent for _, hop in hops))} messages lost",
-        numbers=4,
+        numbers=range(4, 10),
         notes=(
             "overwritten: a newer one came before the node took it, as one does that takes the newest. unused: it was "
             "there when the run ended.",
@@ -53,7 +53,6 @@ def bound_table(measured: Sequence[MeasuredTopology]) -> Table:
         columns=("topology", "node", "CPU", "period", "CPU time max", "wakes late by", "response max", "bound", "what"),
         rows=[_bound_row(label, each) for label, each in bounds],
         outcome=outcome,
-        numbers=9,
         notes=(
             "The bound would hold if the longest CPU time of each node and the latest waking were the longest there "
             "can be. It covers nodes with a period that share one CPU and have a fixed priority; those of one "

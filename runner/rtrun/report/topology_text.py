@@ -9,6 +9,7 @@ from rtrun.plan.quantities import size_text
 from rtrun.plan.topology.planning import TopologyPlan
 from rtrun.plan.topology.rates import RT_SHARE, cpus_text, demands, rates_hz, shares
 from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, Waits
+from rtrun.report.tables import Table
 
 _INDENT = "    "
 _SHOWN = 12
@@ -26,7 +27,8 @@ def topology_lines(plan: TopologyPlan, remarks: Sequence[str] = ()) -> Iterator[
     yield ""
     yield from drawing(topology)
     yield ""
-    yield from _table([("node", "activated", "busy", "CPU", "thread", "sends"), *_rows(topology)])
+    columns = ("node", "activated", "busy", "CPU", "thread", "sends")
+    yield from (line.plain for line in Table(columns=columns, rows=[*_rows(topology)], numbers=[3]).lines())
     yield ""
     yield from _paths(plan)
     yield from _demand_lines(topology)
@@ -130,12 +132,6 @@ def _sent(topology: Topology, name: str) -> str:
         *(["nobody takes it"] if not topology.takers[name] else []),
     ]
     return f"{name} ({', '.join(notes)})" if notes else name
-
-
-def _table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
 
 
 def _paths(plan: TopologyPlan) -> Iterator[str]:

@@ -62,7 +62,7 @@ def tracing_cost(examined: Study) -> Table:
         columns=("suite and parameters", "figure", "untraced", "traced", f"difference, {confidence} interval"),
         rows=rows,
         outcome=_outcome([change.comparison.answer for change in changes]),
-        numbers=2,
+        numbers=range(2, 5),
         notes=tuple(dict.fromkeys(printable(f"assumes {text}") for one in changes for text in one.comparison.assumes)),
     )
 

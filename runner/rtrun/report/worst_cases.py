@@ -29,7 +29,6 @@ def worst_cases(study: Study) -> Table:
         ),
         rows=rows,
         outcome=_bounds_outcome(study),
-        numbers=9,
         notes=("A bound is printed only where every assumption was tested and held.",),
         how="worst-case",
     )

@@ -1,10 +1,13 @@
 """The figures of 2014 beside those of a campaign."""
 
 from rtfiles.quantities import time
-from rtrun.judgement.groups import Group
+from rtrun.judgement.digest import pool_figures
 from rtrun.judgement.study import Study
+from rtrun.report.quantities import times_ns
 from rtrun.report.tables import Table
 from rtrun.thesis.reference import message_rows, oneshot_rows
+
+_SHOWN = ("min", "mean", "max")
 
 
 def published_figures(study: Study) -> Table:
@@ -12,24 +15,16 @@ def published_figures(study: Study) -> Table:
     of_table, others = oneshot_rows(), message_rows()
     matched = [(row, group) for group in study.as_in_2014 for row in (*of_table, *others) if row.is_like(group)]
     measured = sum(any(map(row.is_like, study.as_in_2014)) for row in of_table)
-    columns_here, columns_there = ("min", "mean", "max"), ("2014 min", "2014 mean", "2014 max")
+    here = [times_ns(pool_figures(group.digests)) for _, group in matched]
     return Table(
         id="published",
         title="Beside the published PandaBoard figures",
-        columns=("suite and parameters", "published", *columns_here, *columns_there),
+        columns=("suite and parameters", "published", *_SHOWN, *(f"2014 {name}" for name in _SHOWN)),
         rows=[
-            (group.label, row.place, *_here(group), *(time(1000 * figure) for figure in row.figures_us))
-            for row, group in matched
+            (group.label, row.place, *map(time, [*map(times.get, _SHOWN), *(1000 * each for each in row.figures_us)]))
+            for (row, group), times in zip(matched, here, strict=True)
         ],
         outcome=f"{measured} of the {len(of_table)} rows of the one-shot table were measured here",
-        numbers=2,
+        numbers=range(2, 8),
         notes=("Another board, kernel or ROS: a difference says nothing about any one of them alone.",),
     )
-
-
-def _here(group: Group) -> tuple[str, str, str]:
-    lows = [d.figures.min_ns for d in group.digests if d.figures.min_ns is not None]
-    highs = [d.figures.max_ns for d in group.digests if d.figures.max_ns is not None]
-    means = [(d.figures.mean_ns * d.n, d.n) for d in group.digests if d.figures.mean_ns is not None]
-    mean = sum(total for total, _ in means) / sum(n for _, n in means) if means else None
-    return time(min(lows, default=None)), time(mean), time(max(highs, default=None))

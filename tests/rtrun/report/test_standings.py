@@ -52,7 +52,7 @@ def test_a_line_says_what_changed() -> None:
 def test_what_is_no_number_stands_below_the_table() -> None:
     groups = [standing_of(CHANGED), standing_of(verdict_of(1000), "timer FIFO")]
     stream = io.StringIO()
-    Console(file=stream, width=130).print(table(groups, 130))
+    Console(file=stream, width=130).print(table(groups))
     changed, more = (line for line in stream.getvalue().splitlines() if "timer" in line)
     assert "NEEDS MORE" in changed and "0 of 1 000" in more
     below = list(reasons(groups))

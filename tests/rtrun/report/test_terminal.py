@@ -38,6 +38,12 @@ def drawn(what: object, width: int) -> list[str]:
     return [line.rstrip() for line in stream.getvalue().splitlines()]
 
 
+def rows_of(results: list[Result], width: int) -> list[str]:
+    """What is below the headings."""
+    lines = drawn(table(results), width)
+    return lines[next(k for k, line in enumerate(lines) if line.startswith("─")) + 1 :]
+
+
 WIDE = figures_of_samples(np.array([12_345_600, 99_999_400, 500_000_000]))
 
 
@@ -52,7 +58,7 @@ def test_no_number_is_cut_off(width: int) -> None:
 
 
 def test_numbers_stand_in_microseconds_with_the_digits_they_have() -> None:
-    (row,) = drawn(table([result(figures_of_samples(np.array([-40, 1_234_560, 50_000_000])))]), 100)[3:]
+    (row,) = rows_of([result(figures_of_samples(np.array([-40, 1_234_560, 50_000_000])))], 100)
     assert row.split()[1:] == [
         "FIFO",
         "10000Hz",
@@ -69,14 +75,14 @@ def test_numbers_stand_in_microseconds_with_the_digits_they_have() -> None:
 
 
 def test_parameters_that_are_the_default_and_make_no_name_are_not_told() -> None:
-    (row,) = drawn(table([result(WIDE, policy="0", clock="monotonic")]), 200)[3:]
+    (row,) = rows_of([result(WIDE, policy="0", clock="monotonic")], 200)
     assert "OTHER 10000Hz 10000B clock=monotonic " in row
-    (row,) = drawn(table([result(WIDE, subscribers=5)]), 200)[3:]
+    (row,) = rows_of([result(WIDE, subscribers=5)], 200)
     assert "FIFO 10000Hz 10000B 5sub #4 " in row
 
 
 def test_nothing_measured_is_a_dash_and_no_number() -> None:
-    (row,) = drawn(table([result(figures_of_samples(np.array([], dtype=np.int64)))]), 100)[3:]
+    (row,) = rows_of([result(figures_of_samples(np.array([], dtype=np.int64)))], 100)
     assert row.split()[4:] == ["0", "-", "-", "-", "-", "-", "123456", "1234"]
 
 
@@ -114,22 +120,22 @@ def test_a_target_does_not_command_the_terminal() -> None:
         answer([result(WIDE, ("\x1b[2Jgone\nnew line",), cpu="\x1b]0;x\x07")], platform=Platform.HARDWARE), 200
     )
     assert lines[-2].endswith(": ?[2Jgone?new line")
-    assert "cpu=?]0;x?" in lines[3]
+    assert "cpu=?]0;x?" in lines[-3]
 
 
 def test_runs_of_the_same_parameters_are_told_apart_by_their_number() -> None:
-    rows = drawn(table([result(WIDE, run=name) for name in ("003-x-FIFO", "007-x-FIFO", "imported")]), 200)[3:]
+    rows = rows_of([result(WIDE, run=name) for name in ("003-x-FIFO", "007-x-FIFO", "imported")], 200)
     assert [re.search(r"10000B (run=\S+)", row)[1] for row in rows] == ["run=003", "run=007", "run=imported"]
-    rows = drawn(table([result(WIDE, run=name) for name in ("003-x-FIFO", "003-x-FIFO-r2", "003-x-FIFO-r13")]), 200)[3:]
+    rows = rows_of([result(WIDE, run=name) for name in ("003-x-FIFO", "003-x-FIFO-r2", "003-x-FIFO-r13")], 200)
     assert [re.search(r"10000B (run=\S+)", row)[1] for row in rows] == ["run=003", "run=003-r2", "run=003-r13"]
-    rows = drawn(table([result(WIDE, run="003-x"), result(WIDE, run="007-x", cpu="1")]), 200)[3:]
+    rows = rows_of([result(WIDE, run="003-x"), result(WIDE, run="007-x", cpu="1")], 200)
     assert not any("run=" in row for row in rows)
 
 
 def test_threads_of_one_run_are_told_apart_by_the_end_of_their_output() -> None:
     one = result(WIDE)
     threads = [replace(one, header=replace(one.header, output=f"cyclictest_l10-t{k}")) for k in (0, 1)]
-    assert [row.split()[4] for row in drawn(table(threads), 200)[3:]] == ["#t0", "#t1"]
+    assert [row.split()[4] for row in rows_of(threads, 200)] == ["#t0", "#t1"]
 
 
 def test_start_up_values_of_many_outputs_are_one_line_a_series() -> None:

@@ -1,0 +1,28 @@
+"""The quantities of a series: the words that tables have for them, their names in files, and where they are found.
+
+A time is called min, mean, std, max or, as a percentile, p99.9. Tables write it with its unit; files have it in
+microseconds, as min_us.
+"""
+
+from rtrun.analysis.figures import PERCENTILES, Figures
+from rtrun.results.series import Header
+
+LOST = {"missing": "missing", "out_of_order": "out of order", "duplicate": "again", "not_fired": "not fired"}
+"""What is in no figure: the words of tables, by the names of files."""
+
+
+def times_ns(figures: Figures) -> dict[str, float | None]:
+    """Every time of a series by its word, in the order of files; None where it is not known."""
+    percentiles_ns = {f"p{percent:g}": figures.percentiles_ns.get(percent) for percent in PERCENTILES}
+    ends_ns = {"min": figures.min_ns, "mean": figures.mean_ns, "std": figures.std_ns}
+    return {**ends_ns, **percentiles_ns, "max": figures.max_ns}
+
+
+def lost(header: Header) -> dict[str, int]:
+    """How many measurements are in no figure, by the names of files."""
+    return {name: getattr(header, name) for name in LOST}
+
+
+def us(value_ns: float | None) -> float | None:
+    """A time in the unit of files."""
+    return None if value_ns is None else value_ns / 1000
