@@ -11,8 +11,6 @@ from rtrun.archive.queries import Point
 from rtrun.report.tables import Table
 from rtrun.targets.inspection.platform import Platform
 
-_SHOWN = (50.0, 99.0, 99.9, 99.99)
-
 
 def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
     """Print the points of one scenario, a row each."""
@@ -22,7 +20,7 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
     print_banner(Platform(points[0].platform))
     # The column that --by names comes first, and is not repeated among the others.
     leading = {"kernel": ("kernel", "board"), "board": ("board", "kernel")}.get(by, (by, "board", "kernel"))
-    columns = (*leading, "runs", "boots", "n", *(f"p{p:g}" for p in _SHOWN), "max", f"P(> {time(deadline_ns)})")
+    columns = (*leading, "runs", "boots", "n", *points[0].times_ns, f"P(> {time(deadline_ns)})")
     rows = []
     for point in points:
         names: dict[str, str] = {by: point.label, "board": point.machine, "kernel": point.kernel or "unknown"}
@@ -32,8 +30,7 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
                 f"{len(point.run_keys)}{f', {point.off_rate} off rate' if point.off_rate else ''}",
                 str(point.boots),
                 grouped(point.n),
-                *(time(point.percentiles_ns[p]) for p in _SHOWN),
-                time(point.max_ns),
+                *map(time, point.times_ns.values()),
                 misses_text(point),
             )
         )

@@ -6,149 +6,84 @@ stamps. The start of a run is a separate metric.
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import UTC
+from datetime import UTC, datetime
 from typing import Any
 
 from rtfiles.output import printable
 from rtrun.archive.courses import Course
-from rtrun.archive.fleet import BoardHealth, ScenarioHealth
+from rtrun.archive.fleet import BoardHealth
 
-_PERCENTILES = (50.0, 99.0, 99.9, 99.99)
+_HELP = {
+    "rtrun_value_seconds": "Percentile of the values of the last run.",
+    "rtrun_highest_seconds": "Highest value of the last run.",
+    "rtrun_miss_ratio": "Share of the last run above the deadline.",
+    "rtrun_measurements": "Measurements of the last run.",
+    "rtrun_run_start_time_seconds": "When the last run was begun, in seconds since 1970.",
+    "rtrun_run_failed": "Whether the last run of a scenario failed.",
+    "rtrun_board_failed_scenarios": "How many scenarios of a board failed in their last run.",
+    "rtrun_board_new": "Whether a board was measured on too few boots for changes to be seen.",
+    "rtrun_board_offline": "Whether the exporter of a place ended.",
+    "rtrun_board_quarantined": "Whether a place is in quarantine.",
+    "rtrun_board_last_seen_time_seconds": "When the last run that a board answered in was begun, seconds since 1970.",
+}
+_Sample = tuple[str, Mapping[str, str], float]
+"""A metric, its labels and its value."""
 
 
 def open_metrics(courses: Sequence[Course], boards: Sequence[BoardHealth], *, deadline_ns: int) -> str:
     """The last run of every course, and the state of each board, in the text format of OpenMetrics 1.0.
 
-    Times are in s; start times are seconds since 1970.
+    Times are in s; start times are seconds since 1970. Prometheus refuses a page in which two samples have the same
+    labels. Names that differ only in a control character give equal labels; the highest such sample counts.
     """
-    lines = [
-        "# TYPE rtrun_value_seconds gauge",
-        "# UNIT rtrun_value_seconds seconds",
-        "# HELP rtrun_value_seconds Percentile of the values of the last run.",
-        *(
-            _line("rtrun_value_seconds", course, value, percentile=name)
-            for course, name, value in _percentiles(courses)
-        ),
-        "# TYPE rtrun_highest_seconds gauge",
-        "# UNIT rtrun_highest_seconds seconds",
-        "# HELP rtrun_highest_seconds Highest value of the last run.",
-    ]
-    last = [(course, course.runs[-1].point) for course in courses]
-    lines += [
-        _line("rtrun_highest_seconds", course, point.max_ns / 1e9) for course, point in last if point.max_ns is not None
-    ]
-    lines += ["# TYPE rtrun_miss_ratio gauge", "# HELP rtrun_miss_ratio Share of the last run above the deadline."]
-    lines += [
-        _line("rtrun_miss_ratio", course, point.p_miss, deadline_seconds=f"{deadline_ns / 1e9:g}")
-        for course, point in last
-        if point.p_miss is not None
-    ]
-    lines += ["# TYPE rtrun_measurements gauge", "# HELP rtrun_measurements Measurements of the last run."]
-    lines += [_line("rtrun_measurements", course, point.n) for course, point in last]
-    lines += [
-        "# TYPE rtrun_run_start_time_seconds gauge",
-        "# UNIT rtrun_run_start_time_seconds seconds",
-        "# HELP rtrun_run_start_time_seconds When the last run was begun, in seconds since 1970.",
-        *(
-            _line("rtrun_run_start_time_seconds", course, point.start_utc.replace(tzinfo=UTC).timestamp())
-            for course, point in last
-            if point.start_utc is not None
-        ),
-    ]
-    return "\n".join([*(lines if courses else []), *_of_boards(boards), "# EOF"]) + "\n"
+    samples: dict[str, dict[str, float]] = {name: {} for name in _HELP}
+    for name, labels, value in (*_of_courses(courses, deadline_ns), *_of_boards(boards)):
+        words = ",".join(f'{label}="{_escaped(text)}"' for label, text in labels.items())
+        samples[name][words] = max(float(value), samples[name].get(words, float(value)))
+    lines = []
+    for name, values in samples.items():
+        if values:
+            unit = [f"# UNIT {name} seconds"] * name.endswith("_seconds")
+            lines += [f"# TYPE {name} gauge", *unit, f"# HELP {name} {_HELP[name]}"]
+            lines += [f"{name}{{{words}}} {value:.10g}" for words, value in values.items()]
+    return "\n".join([*lines, "# EOF"]) + "\n"
 
 
-def _of_boards(boards: Sequence[BoardHealth]) -> Iterator[str]:
-    """What is known about each board; what only a farm knows appears only for its places."""
-    in_farm = [board for board in boards if board.in_farm]
-    yield from _gauge(
-        "rtrun_run_failed",
-        "Whether the last run of a scenario failed.",
-        [(_labels_of(each), bool(each.failures)) for board in boards for each in board.scenarios],
-    )
-    yield from _gauge(
-        "rtrun_board_failed_scenarios",
-        "How many scenarios of a board failed in their last run.",
-        [({"machine": board.board}, len(board.failed)) for board in boards],
-    )
-    yield from _gauge(
-        "rtrun_board_new",
-        "Whether a board was measured on too few boots for changes to be seen.",
-        [({"machine": board.board}, board.is_new) for board in boards],
-    )
-    yield from _gauge(
-        "rtrun_board_offline",
-        "Whether the exporter of a place ended.",
-        [({"machine": board.board}, bool(board.offline)) for board in in_farm],
-    )
-    yield from _gauge(
-        "rtrun_board_quarantined",
-        "Whether a place is in quarantine.",
-        [({"machine": board.board}, bool(board.quarantine)) for board in in_farm],
-    )
-    yield from _gauge(
-        "rtrun_board_last_seen_time_seconds",
-        "When the last run in which a board answered was begun, in seconds since 1970.",
-        [
-            ({"machine": board.board}, board.last_seen.replace(tzinfo=UTC).timestamp())
-            for board in boards
-            if board.last_seen
-        ],
-        unit="seconds",
-    )
-
-
-def _labels_of(scenario: ScenarioHealth) -> dict[str, str]:
-    return {
-        "scenario": scenario.last.scenario,
-        "machine": scenario.last.machine,
-        "platform": scenario.last.platform,
-    }
-
-
-def _gauge(
-    name: str, what: str, samples: Sequence[tuple[Mapping[str, str], float]], unit: str | None = None
-) -> Iterator[str]:
-    """A metric with its samples; nothing without samples.
-
-    Prometheus refuses a page in which two samples have the same labels. Names that differ only in a control character
-    give equal labels; the highest such sample counts.
-    """
-    if samples:
-        yield f"# TYPE {name} gauge"
-        if unit:
-            yield f"# UNIT {name} {unit}"
-        yield f"# HELP {name} {what}"
-    highest: dict[str, float] = {}
-    for labels, value in samples:
-        words = _words(labels)
-        highest[words] = max(float(value), highest.get(words, float(value)))
-    for words, value in highest.items():
-        yield f"{name}{{{words}}} {value:.10g}"
-
-
-def _words(labels: Mapping[str, str]) -> str:
-    return ",".join(f'{name}="{_escaped(text)}"' for name, text in labels.items())
-
-
-def _percentiles(courses: Sequence[Course]) -> Iterator[tuple[Course, str, float]]:
+def _of_courses(courses: Sequence[Course], deadline_ns: int) -> Iterator[_Sample]:
     for course in courses:
-        for percent in _PERCENTILES:
-            value_ns = course.runs[-1].point.percentiles_ns[percent]
-            if value_ns is not None:
-                yield course, f"{percent:g}", value_ns / 1e9
+        point = course.runs[-1].point
+        labels = {name: getattr(course, name) for name in ("scenario", "machine", "platform")}
+        labels["kernel"] = point.kernel or "unknown"
+        for name, value_ns in point.times_ns.items():
+            if value_ns is not None and name != "max":
+                yield "rtrun_value_seconds", {**labels, "percentile": name.removeprefix("p")}, value_ns / 1e9
+        if point.max_ns is not None:
+            yield "rtrun_highest_seconds", labels, point.max_ns / 1e9
+        if point.p_miss is not None:
+            yield "rtrun_miss_ratio", {**labels, "deadline_seconds": f"{deadline_ns / 1e9:g}"}, point.p_miss
+        yield "rtrun_measurements", labels, point.n
+        if point.start_utc is not None:
+            yield "rtrun_run_start_time_seconds", labels, _seconds(point.start_utc)
 
 
-def _line(metric: str, course: Course, value: float, **labels: str) -> str:
-    point = course.runs[-1].point
-    labels = {
-        "scenario": course.scenario,
-        "machine": course.machine,
-        "platform": course.platform,
-        "kernel": point.kernel or "unknown",
-        **labels,
-    }
-    return f"{metric}{{{_words(labels)}}} {value:.10g}"
+def _of_boards(boards: Sequence[BoardHealth]) -> Iterator[_Sample]:
+    """What is known about each board; what only a farm knows appears only for its places."""
+    for board in boards:
+        labels = {"machine": board.board}
+        for each in board.scenarios:
+            of_scenario = {name: getattr(each.last, name) for name in ("scenario", "machine", "platform")}
+            yield "rtrun_run_failed", of_scenario, bool(each.failures)
+        yield "rtrun_board_failed_scenarios", labels, len(board.failed)
+        yield "rtrun_board_new", labels, board.is_new
+        if board.in_farm:
+            yield "rtrun_board_offline", labels, bool(board.offline)
+            yield "rtrun_board_quarantined", labels, bool(board.quarantine)
+        if board.last_seen:
+            yield "rtrun_board_last_seen_time_seconds", labels, _seconds(board.last_seen)
+
+
+def _seconds(moment: datetime) -> float:
+    return moment.replace(tzinfo=UTC).timestamp()
 
 
 def _escaped(text: str) -> str:
@@ -158,22 +93,13 @@ def _escaped(text: str) -> str:
 
 def grafana_dashboard() -> str:
     """A dashboard to import into Grafana, where the data source is chosen: quantiles, highest values, misses."""
+    per_scenario, per_board = "{{machine}} {{scenario}}", "{{machine}}"
     queries = (
-        ("Percentiles", 'rtrun_value_seconds{machine=~"$machine"}', "{{machine}} {{scenario}} p{{percentile}}", "s"),
-        ("Highest value", 'rtrun_highest_seconds{machine=~"$machine"}', "{{machine}} {{scenario}}", "s"),
-        ("Share of misses", 'rtrun_miss_ratio{machine=~"$machine"}', "{{machine}} {{scenario}}", "percentunit"),
-        (
-            "Scenarios that failed in their last run",
-            'rtrun_board_failed_scenarios{machine=~"$machine"}',
-            "{{machine}}",
-            "none",
-        ),
-        (
-            "Time since the last run",
-            'time() - rtrun_run_start_time_seconds{machine=~"$machine"}',
-            "{{machine}} {{scenario}}",
-            "s",
-        ),
+        ("Percentiles", "rtrun_value_seconds", f"{per_scenario} p{{{{percentile}}}}", "s"),
+        ("Highest value", "rtrun_highest_seconds", per_scenario, "s"),
+        ("Share of misses", "rtrun_miss_ratio", per_scenario, "percentunit"),
+        ("Scenarios that failed in their last run", "rtrun_board_failed_scenarios", per_board, "none"),
+        ("Time since the last run", "time() - rtrun_run_start_time_seconds", per_scenario, "s"),
     )
     source = {"type": "prometheus", "uid": "${source}"}
     panels: list[dict[str, Any]] = [
@@ -184,7 +110,9 @@ def grafana_dashboard() -> str:
             "datasource": source,
             "gridPos": {"x": 0, "y": 9 * (number - 1), "w": 24, "h": 9},
             "fieldConfig": {"defaults": {"unit": unit}, "overrides": []},
-            "targets": [{"refId": "A", "datasource": source, "expr": query, "legendFormat": legend}],
+            "targets": [
+                {"refId": "A", "datasource": source, "expr": f'{query}{{machine=~"$machine"}}', "legendFormat": legend}
+            ],
         }
         for number, (title, query, legend, unit) in enumerate(queries, start=1)
     ]

@@ -14,7 +14,6 @@ from rtrun.report.plots import axes
 from rtrun.report.plots.axes import Axis
 from rtrun.report.plots.drawing import Mark, Plot
 
-_LINES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "p99.99": 99.99}
 _COLOURS = (0, 2, 3, 6, 1)  # of the lines, and of the highest value
 _SPAN = 10.0  # ratio of the highest to the lowest value from which an axis is logarithmic
 _LIMIT_SPAN = 5.0  # a deadline beyond this many times the highest value would dominate the plot
@@ -25,9 +24,7 @@ def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int) -
     points = [run.point for run in course.runs]
     seconds = np.array([_seconds(point.start_utc) for point in points])
     along = axes.dates("start of the run, UTC", seconds.min(), seconds.max())
-    named = {name: [point.percentiles_ns[percent] for point in points] for name, percent in _LINES.items()}
-    named["max"] = [point.max_ns for point in points]
-    values = {name: _numbers(each) for name, each in named.items()}
+    values = {name: _numbers([point.times_ns[name] for point in points]) for name in points[0].times_ns}
     known = np.concatenate([each[np.isfinite(each)] for each in values.values()])
     plots = []
     if known.size:

@@ -23,6 +23,8 @@ from rtrun.plan.suites import measures
 
 # How many histogram rows are held at a time, each up to 150 bytes. A run has some ten thousand.
 ROWS_MAX = 2 * BINS_MAX
+SHOWN = (50.0, 99.0, 99.9, 99.99)
+"""The percentiles that tables and plots show."""
 _LARGE = 4096  # rows per group
 _LATEST = datetime.max  # sorts runs without a time last
 _LABELS: dict[By, Callable[[RunRow], str]] = {
@@ -73,6 +75,11 @@ class Point:
     unclear: int
     percentiles_ns: dict[float, int | None]
     max_ns: int | None
+
+    @property
+    def times_ns(self) -> dict[str, int | None]:
+        """What tables and plots show of it, by its word."""
+        return {**{f"p{percent:g}": self.percentiles_ns[percent] for percent in SHOWN}, "max": self.max_ns}
 
     @property
     def p_miss(self) -> float | None:

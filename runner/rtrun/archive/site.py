@@ -18,6 +18,7 @@ from rtrun.archive.courses import Course
 from rtrun.archive.fleet import BoardHealth, ScenarioHealth
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
+from rtrun.archive.queries import SHOWN
 from rtrun.archive.states import SAID, CourseState, state_of
 from rtrun.archive.trends import Trend, as_text
 from rtrun.report.html_pages import drawings, script, templates
@@ -25,7 +26,6 @@ from rtrun.report.terminal import BANNERS
 from rtrun.targets.inspection.platform import Platform
 from rtrun.targets.labgrid.health import in_words
 
-_SHOWN = (50.0, 99.0, 99.9, 99.99)
 _MARKS = {"WORSE": "✗ WORSE", "better": "✓ BETTER", "accepted": "✓ ACCEPTED"}
 
 
@@ -54,7 +54,7 @@ def write_site(
         # Readers of the pages need not know where the archive is stored.
         "archive": archive.rstrip("/").rpartition("/")[2],
         "deadline": time(deadline_ns),
-        "percentiles": [f"p{p:g}" for p in _SHOWN],
+        "percentiles": [f"p{percent:g}" for percent in SHOWN],
         "banner": banners.pop() if len(banners) == 1 else "",
         "banners": sorted(filter(None, banners)),
         "answer": _answer([card["state"] for card in cards]),
@@ -129,8 +129,7 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
             run.point.kernel or "unknown",
             run.facts.get("commit", "unknown"),
             grouped(run.point.n),
-            *(time(run.point.percentiles_ns[p]) for p in _SHOWN),
-            time(run.point.max_ns),
+            *map(time, run.point.times_ns.values()),
             "unknown" if run.point.misses is None else str(run.point.misses),
         )
         for run in reversed(course.runs)
