@@ -11,6 +11,7 @@ from pathlib import Path
 
 import rtgen.cli
 import rtrun.cli
+from rtfiles.command import called_as
 from rtfiles.start import commands_of
 
 TOP = Path(__file__).parents[1]
@@ -36,7 +37,7 @@ def commands(page: Path) -> Iterator[str]:
             continue
         for command in re.findall(r"`(?:\.venv/bin/)?((?:rtgen|rtrun) [^`]+)`", line):
             program, name, *rest = command.split()
-            if rest and any(name == each.NAME for each in COMMANDS[program]):
+            if rest and any(name == called_as(each.__name__) for each in COMMANDS[program]):
                 yield command
 
 

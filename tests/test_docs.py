@@ -16,7 +16,7 @@ from report.campaigns import write_campaign
 
 from logs import LOGS_2014
 from pages import COMMANDS, PAGES, TOP, commands, file_of, name_of
-from rtfiles.command import parser_of
+from rtfiles.command import called_as, parser_of
 
 # Those of tests/test_tutorial.py and tests/suites/test_start_pages.py run there.
 RUN_THERE = ("docs/tutorial.md", *(f"docs/start/{name}.md" for name in ("board", "images", "lab", "nodes")))
@@ -125,7 +125,7 @@ def test_make_has_the_targets(page: Path) -> None:
 
 def test_every_command_stands_on_the_page_of_commands() -> None:
     text = (TOP / "docs/commands.md").read_text()
-    names = [f"{program} {each.NAME}" for program, modules in COMMANDS.items() for each in modules]
+    names = [f"{program} {called_as(each.__name__)}" for program, modules in COMMANDS.items() for each in modules]
     assert [name for name in names if not re.search(rf"`{name}[ `]", text)] == []
 
 

@@ -16,7 +16,7 @@ from report.campaigns import write_campaign
 
 import rtgen.cli
 import rtrun.cli
-from rtfiles.command import parser_of
+from rtfiles.command import called_as, parser_of
 from rtfiles.start import commands_of
 
 SLOW = {
@@ -136,20 +136,24 @@ MODULES = {name: commands_of(name, commands) for name, commands in PROGRAMS.item
 EVERY_COMMAND = [(name, module) for name, modules in MODULES.items() for module in modules]
 
 
-@pytest.mark.parametrize(("program", "command"), EVERY_COMMAND, ids=[f"{p} {c.NAME}" for p, c in EVERY_COMMAND])
+@pytest.mark.parametrize(
+    ("program", "command"), EVERY_COMMAND, ids=[f"{p} {called_as(c.__name__)}" for p, c in EVERY_COMMAND]
+)
 def test_help_has_two_examples_that_are_understood_and_the_exit_statuses(
     program: str, command: ModuleType, capsys: pytest.CaptureFixture[str]
 ) -> None:
     parser = parser_of(program, "", MODULES[program])
     with pytest.raises(SystemExit):
-        parser.parse_args([command.NAME, "--help"])
+        parser.parse_args([called_as(command.__name__), "--help"])
     shown = capsys.readouterr().out
     assert "exit status: 0 done; " in shown and (" 1 " in shown) >= hasattr(command, "FAILS")
     assert len(command.EXAMPLES) == 2
     for example in command.EXAMPLES:
         assert f"\n  {example}\n" in shown
         called, *words = shlex.split(example)
-        assert (called == program and words[0] == command.NAME) or example == "rtgen explain scarthgap-jazzy"
+        assert (
+            called == program and words[0] == called_as(command.__name__)
+        ) or example == "rtgen explain scarthgap-jazzy"
         parser.parse_args(words)
 
 
@@ -161,7 +165,7 @@ def test_help_lists_every_command_once_below_its_group(capsys: pytest.CaptureFix
         assert all(f"\n{title}:\n" in shown for title in cli.GROUPS)
         assert [
             re.match(r"  ([a-z][a-z-]*)  +\S", line)[1] for line in re.findall(r"\n(  [a-z][a-z-]*  +\S.*)", shown)
-        ] == [command.NAME for command in MODULES[program]]
+        ] == [called_as(command.__name__) for command in MODULES[program]]
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
@@ -175,7 +179,7 @@ def test_the_manual_page_has_every_command_and_no_mistake(program: str, capsys: 
     assert done.stderr == ""
     plain = re.sub(r"\x1b\[[0-9;]*m|.\x08", "", done.stdout)
     for command in MODULES[program]:
-        assert f"\n{program} {command.NAME}\n" in plain and command.EXAMPLES[1] in plain
+        assert f"\n{program} {called_as(command.__name__)}\n" in plain and command.EXAMPLES[1] in plain
 
 
 @pytest.mark.parametrize(
@@ -250,4 +254,4 @@ def test_bad_input_is_named_in_the_last_line(
 
 def test_every_command_is_given_bad_input() -> None:
     given = {tuple(command.split()[:2]) for command in BAD}
-    assert given == {(program, command.NAME) for program, command in EVERY_COMMAND}
+    assert given == {(program, called_as(command.__name__)) for program, command in EVERY_COMMAND}

@@ -18,6 +18,7 @@ from report.campaigns import write_campaign
 import rtgen.cli
 import rtrun.cli
 from logs import LOGS_2014
+from rtfiles.command import called_as
 from rtfiles.start import commands_of
 
 TOP = Path(__file__).parents[1]
@@ -139,4 +140,4 @@ def test_command(programs: Path, folder: Path, command: str, status: int, words:
 def test_every_command_is_here() -> None:
     given = {tuple(command.split()[:2]) for command, _, _ in COMMANDS}
     for program, cli in (("rtgen", rtgen.cli), ("rtrun", rtrun.cli)):
-        assert {(program, command.NAME) for command in commands_of(program, cli.COMMANDS)} <= given
+        assert {(program, called_as(command.__name__)) for command in commands_of(program, cli.COMMANDS)} <= given

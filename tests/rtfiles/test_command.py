@@ -26,7 +26,7 @@ def test_an_error_is_a_line(capsys, error, status, line):
     def run(_args):
         raise error
 
-    command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+    command = types.SimpleNamespace(__name__="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
     assert dispatch("prog", "A program.", [command], ["do"]) == status
     assert capsys.readouterr().err == f"prog: {line}\n"
 
@@ -39,7 +39,7 @@ def test_quiet_leaves_the_answer_and_errors(capsys, words):
             print_line("the answer")
         raise UsageError("what is wrong")
 
-    command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+    command = types.SimpleNamespace(__name__="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
     assert dispatch("prog", "A program.", [command], words) == 2
     printed = capsys.readouterr()
     assert printed.out == "the answer\n"
@@ -54,7 +54,7 @@ def test_what_nobody_expected_is_a_defect_with_a_traceback(capsys, error):
     def run(_args):
         raise error
 
-    command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+    command = types.SimpleNamespace(__name__="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
     assert dispatch("prog", "A program.", [command], ["do"]) == 70
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "Traceback (most recent call last):" and "raise error" in " ".join(lines)
@@ -74,7 +74,7 @@ def test_a_command_that_is_told_to_end_cleans_up(capsys, number):
         finally:
             cleaned.append(True)
 
-    command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+    command = types.SimpleNamespace(__name__="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
     try:
         assert dispatch("prog", "A program.", [command], ["do"]) == 130
         assert cleaned and capsys.readouterr().err == "prog: interrupted\n"
@@ -91,7 +91,7 @@ def test_a_hang_up_that_nohup_ignores(monkeypatch):
             signal.raise_signal(signal.SIGHUP)
             return 0
 
-        command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+        command = types.SimpleNamespace(__name__="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
         assert dispatch("prog", "A program.", [command], ["do"]) == 0
     finally:
         signal.signal(signal.SIGHUP, previous)
@@ -101,6 +101,6 @@ def test_a_pipe_that_breaks_elsewhere_is_no_success(capsys):
     def run(_args):
         raise BrokenPipeError(32, "Broken pipe")
 
-    command = types.SimpleNamespace(NAME="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
+    command = types.SimpleNamespace(__name__="do", HELP="do it", add_arguments=lambda _parser: None, run=run)
     assert dispatch("prog", "A program.", [command], ["do"]) == 3
     assert capsys.readouterr().err == "prog: Broken pipe\n"

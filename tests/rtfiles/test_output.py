@@ -30,7 +30,7 @@ def add_arguments(parser):
     parser.add_argument("status", type=int, help="0 … 255")
     parser.add_argument("--lines", type=int, default=20_000)
 
-command = types.SimpleNamespace(NAME="do", HELP="do it…", add_arguments=add_arguments, run=run)
+command = types.SimpleNamespace(__name__="do", HELP="do it…", add_arguments=add_arguments, run=run)
 sys.exit(dispatch("prog", "A program…", [command], None))
 """
 

@@ -32,9 +32,9 @@ def dispatch(
 ) -> int:
     """Run one sub-command and return the exit status.
 
-    A command is a module with ``NAME``, ``HELP``, ``EXAMPLES``, ``add_arguments(parser)`` and ``run(args) -> int``.
-    ``FAILS`` is the meaning of the exit status 1, for a command that can return it. Slow imports belong inside ``run``,
-    so that ``--help`` answers at once.
+    A command is a module with ``HELP``, ``EXAMPLES``, ``add_arguments(parser)`` and ``run(args) -> int``. ``FAILS`` is
+    the meaning of the exit status 1, for a command that can return it. Slow imports belong inside ``run``, so that
+    ``--help`` answers at once.
 
     The exit status does not change when the reader of standard output goes away. If standard output cannot be written
     for another reason, for example a full disk, the status is that of an infrastructure error, unless the command
@@ -90,6 +90,11 @@ def _interruptible() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def called_as(module: str) -> str:
+    """The word for a command, from the name of its module, which cannot have a dash or be called import."""
+    return module.rpartition(".")[2].rstrip("_").replace("_", "-")
+
+
 def parser_of(
     prog: str,
     description: str,
@@ -110,7 +115,7 @@ def parser_of(
         parser.epilog = _listed(commands, groups)
     for command in commands:
         subparser = subparsers.add_parser(
-            command.NAME, help=command.HELP, description=command.HELP, epilog=_epilog(command)
+            called_as(command.__name__), help=command.HELP, description=command.HELP, epilog=_epilog(command)
         )
         command.add_arguments(subparser)
         _add_quiet(subparser)
@@ -121,14 +126,14 @@ def parser_of(
 def _listed(commands: Sequence[ModuleType], groups: Mapping[str, Sequence[str]]) -> str:
     """The commands below the titles of their groups, and the meaning of the exit statuses."""
     known = {command.__name__.rpartition(".")[2]: command for command in commands}
-    width = max(len(command.NAME) for command in commands)
+    width = max(len(called_as(command.__name__)) for command in commands)
     lines = []
     for title, names in groups.items():
         lines.append(f"{title}:")
         for name in filter(known.get, names):
             text = textwrap.wrap(known[name].HELP, _columns() - width - 4)
             lines += textwrap.indent("\n".join(text), " " * (width + 4)).splitlines()
-            lines[-len(text)] = f"  {known[name].NAME:<{width}}  {text[0]}"
+            lines[-len(text)] = f"  {called_as(name):<{width}}  {text[0]}"
         lines.append("")
     statuses = f"exit status: {_statuses('the answer is no')}"
     return "\n".join([*lines, *textwrap.wrap(statuses, _columns()), "", "COMMAND --help says more, with examples."])

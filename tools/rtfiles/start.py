@@ -25,11 +25,11 @@ def start(prog: str, description: str, groups: Mapping[str, Sequence[str]], argv
     if quiet:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        from rtfiles.command import dispatch
+        from rtfiles.command import called_as, dispatch
 
         word = [*(sys.argv[1:] if argv is None else argv)][:1]
         commands = [name for names in groups.values() for name in names]
-        asked = [name for name in commands if [name.rstrip("_").replace("_", "-")] == word]
+        asked = [name for name in commands if [called_as(name)] == word]
         modules = commands_of(prog, asked or commands)  # --help and the error for a wrong word name all of them
     finally:
         if quiet:

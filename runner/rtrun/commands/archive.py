@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     NoteT = TypeVar("NoteT", bound=NoteHead)
 
-NAME = "archive"
 HELP = "keep runs of many months and boards as Parquet files, in a folder or an object store"
 EXAMPLES = (
     "rtrun archive add results/brakes --to archive",
@@ -34,7 +33,6 @@ _TOLD_BY = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The sub-commands, and the arguments of each."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     add = actions.add_parser("add", help="add the runs of RESULTS that the archive does not have")
     add_results(add, files=False)

@@ -8,7 +8,6 @@ from rtrun.commands._archive import add_archive, add_deadline, read_courses
 from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_confidence
 
-NAME = "bisect"
 HELP = "propose the commit or version to measure next, to find the one that made a scenario worse"
 EXAMPLES = (
     "rtrun bisect archive --order commits.txt",
@@ -17,7 +16,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The archive, the fact to bisect, the order of its versions, the deadline."""
     add_archive(parser)
     parser.add_argument(
         "--by",

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from rtrun.commands._arguments import add_target
 
-NAME = "build-suites"
 HELP = "build the suites on a target, with its own compiler and ROS, for its campaigns"
 EXAMPLES = (
     "rtrun build-suites recipes-tests --target board.yml",
@@ -14,7 +13,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `build-suites` takes."""
     parser.add_argument("sources", type=Path, metavar="FOLDER", help="recipes-tests, the sources of the suites")
     add_target(parser)
 

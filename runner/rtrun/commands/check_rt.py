@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from rtrun.targets.inspection.rt_readiness import CheckResult
     from rtrun.targets.link import Link
 
-NAME = "check-rt"
 HELP = "list what stands in the way of real time on a running target, why, and the remedy"
 EXAMPLES = (
     "rtrun check-rt --target board.yml",
@@ -21,7 +20,6 @@ FAILS = "a finding is fatal or high"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `check-rt` takes."""
     add_target(parser)
     add_json(parser)
     parser.add_argument(

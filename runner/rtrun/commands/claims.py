@@ -5,7 +5,6 @@ import argparse
 from rtrun.commands._arguments import add_json, add_results
 from rtrun.commands._question import add_confidence
 
-NAME = "claims"
 HELP = "re-examine the 19 claims of the thesis on a campaign"
 EXAMPLES = (
     "rtrun claims results/thesis-2014",
@@ -14,7 +13,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The results, and how to print."""
     add_results(parser, files=False)
     add_json(parser)
     add_confidence(parser)

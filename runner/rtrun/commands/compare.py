@@ -6,7 +6,6 @@ from pathlib import Path
 from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_question, question, time_argument
 
-NAME = "compare"
 HELP = "compare two folders of runs, or two sides of one campaign: what shifted, and how sure that is"
 EXAMPLES = (
     "rtrun compare results/before results/after",
@@ -15,7 +14,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The two sets, the margin, the question."""
     parser.add_argument("a", type=Path, help="folder of runs, run directory, .log or .npy: before")
     parser.add_argument("b", type=Path, nargs="?", help="the same: after [another side of the campaign in A]")
     parser.add_argument(

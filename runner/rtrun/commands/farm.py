@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from rtrun.targets.config import LabgridConfig
     from rtrun.targets.labgrid.coordinator import LabgridPlace, OfferedResource
 
-NAME = "farm"
 HELP = "show each place of a labgrid farm: state, last run, temperature, power; --check tries each"
 EXAMPLES = (
     "rtrun farm --archive archive",
@@ -26,7 +25,6 @@ _UNKNOWN = "not known"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Which places, what is known about them, and whether to check each."""
     parser.add_argument(
         "--target",
         type=Path,

@@ -10,7 +10,6 @@ from rtrun.commands._question import add_question, ask, probability_argument, qu
 if TYPE_CHECKING:
     from rtrun.judgement.gate import Gate
 
-NAME = "gate"
 HELP = (
     "pass (exit 0) only if every group of runs proves the deadline, or is no worse than its history, else fail (exit 1)"
 )
@@ -23,7 +22,6 @@ FALSE_ALARMS = 0.05
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The results, the question, the file for JUnit XML."""
     add_results(parser)
     add_json(parser)
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the cases as JUnit XML")

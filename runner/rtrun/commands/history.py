@@ -10,7 +10,6 @@ from rtrun.commands._arguments import add_json
 if TYPE_CHECKING:
     from rtrun.archive.queries import Point
 
-NAME = "history"
 HELP = "show how quantiles and P(miss) of each scenario went, by time, kernel, board or commit"
 EXAMPLES = (
     "rtrun history archive",
@@ -19,7 +18,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The archive, the meaning of a row, the deadline, how to print."""
     add_archive(parser)
     parser.add_argument(
         "--by", choices=get_args(By), default="day", help="what a row is of; boards and kernels stay apart [day]"

@@ -6,7 +6,6 @@ from pathlib import Path
 from rtrun.commands._question import time_argument
 from rtrun.plan.quantities import whole_interval_us
 
-NAME = "import"
 HELP = "make run directories of 2014 logs and of what cyclictest, jitterdebugger, rtla timerlat and rteval wrote"
 EXAMPLES = (
     "rtrun import cyclictest.hist --platform hardware --board farm-7 --interval 200us",
@@ -15,7 +14,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The files, their destination, what they were measured on."""
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="a log, or what one of the programs wrote")
     parser.add_argument(
         "--results", type=Path, default=Path("results/imported"), metavar="FOLDER", help="[results/imported]"

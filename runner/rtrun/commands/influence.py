@@ -10,7 +10,6 @@ from rtrun.commands._question import time_argument
 if TYPE_CHECKING:
     from rtrun.judgement.study import Study
 
-NAME = "influence"
 HELP = "what independent nodes add to the times along the paths of a topology: measured beside them and alone, in turn"
 EXAMPLES = (
     "rtrun influence braking.yml --of other_nodes --target board.yml",
@@ -37,7 +36,6 @@ def _kinds(text: str) -> list[str]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `influence` takes."""
     parser.add_argument("topology", type=Path, metavar="TOPOLOGY", help="a topology file")
     parser.add_argument(
         "--of", required=True, choices=("other_nodes",), help="whose influence: that of nodes beside it"
@@ -80,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     if args.repeats < 3:
         raise UsageError("--repeats: 3 at least: fewer runs do not tell how much one differs from the next")
     topology = read_topology(args.topology).topology
-    results: Path = args.results or Path("results") / f"{NAME}-{topology.name}"
+    results: Path = args.results or Path("results") / f"influence-{topology.name}"
     target = TargetFile(config=read_target(args.target), folder=args.target.parent)
     run_directory.make_results(results)
     campaign_file = results / "campaign.yml"
@@ -110,7 +108,7 @@ def _campaign(args: argparse.Namespace, name: str) -> dict[str, Any]:
     others = [f"{number} {kind}{on}" for kind in args.kinds for on in where for number in args.nodes]
     return {
         "schema": 1,
-        "name": f"{NAME}-{name}",
+        "name": f"influence-{name}",
         "topology": str(args.topology.absolute()),
         "for": f"{args.for_ns}ns",
         "order": "interleaved",

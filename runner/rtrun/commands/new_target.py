@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from rtrun.targets.address import Address
     from rtrun.targets.link import Link
 
-NAME = "new-target"
 HELP = "write the target file of a board, after a look at its host key, and say what the board lacks"
 EXAMPLES = (
     "rtrun new-target",
@@ -18,7 +17,6 @@ HOST_KEY_S = 15.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `new-target` takes."""
     parser.add_argument("--host", help="name or address of the board, or an alias of ~/.ssh/config [asked for]")
     parser.add_argument("--user", help="[User of ~/.ssh/config, else root]")
     parser.add_argument("--port", type=int, help="[Port of ~/.ssh/config, else 22]")

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from rtrun.archive.courses import Course
     from rtrun.archive.runs import Archive
 
-NAME = "notify"
 HELP = "tell a command, a web hook or by mail, once each, of what got worse or failed, and of boards away, ill or new"
 EXAMPLES = (
     "rtrun notify lab.yml archive",
@@ -21,7 +20,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Who is notified, and of what."""
     parser.add_argument("receivers", type=Path, metavar="RECEIVERS.yml", help="who is told, and how")
     add_archive(parser)
     parser.add_argument(

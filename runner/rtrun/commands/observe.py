@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from rtrun.plan.run import Run
     from rtrun.targets.config import TargetConfig
 
-NAME = "observe"
 HELP = "measure nodes that run already, unmodified: messages, timers, callbacks, reaction times"
 EXAMPLES = (
     "rtrun observe --target robot.yml --list",
@@ -26,7 +25,6 @@ DRAWN_MAX = 200_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `observe` takes."""
     add_target(parser)
     parser.add_argument(
         "--for", type=time_argument, default=60 * 10**9, dest="for_ns", metavar="TIME", help="how long [1min]"

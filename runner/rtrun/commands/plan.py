@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from rtrun.plan.rounds import Outlook
     from rtrun.plan.run import Run
 
-NAME = "plan"
 # Burst lengths whose cost is shown.
 BURSTS = (1, 5, 20)
 # Periods of a changing load, in seconds, for which longer runs are proposed.
@@ -38,7 +37,6 @@ class _Forecast:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `plan` takes."""
     add_campaign(parser)
     parser.add_argument(
         "--assume-rate",

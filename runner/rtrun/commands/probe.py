@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from rtrun.execution.middleware.service import Service
     from rtrun.targets.inspection.facts import Fact, Installed
 
-NAME = "probe"
 HELP = "say what a target is and whether it is ready for a campaign"
 EXAMPLES = (
     "rtrun probe --target board.yml",
@@ -18,7 +17,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `probe` takes."""
     add_target(parser)
     add_json(parser)
 

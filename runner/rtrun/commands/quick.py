@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from rtrun.targets.inspection.rt_readiness import CheckResult
     from rtrun.targets.link import Link
 
-NAME = "quick"
 HELP = "a first answer in a minute, without a file: which P(miss) is proven, what was worst, and why"
 EXAMPLES = (
     "rtrun quick --deadline 1ms",
@@ -25,7 +24,6 @@ ASKED = (1e-2, 1e-6)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `quick` takes."""
     parser.add_argument("--deadline", type=time_argument, required=True, metavar="TIME", help="with its unit, as 1ms")
     parser.add_argument(
         "--target", default="", metavar="USER@HOST|TARGET.yml", help="what to measure on [this machine]"
@@ -65,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
 
     data = _target(args)
     file = run_directory.unused_results(args.results) / "target.yml" if data else Path(args.target)
-    config = parse_target(data, args.target or NAME) if data else read_target(file)
+    config = parse_target(data, args.target or "quick") if data else read_target(file)
     print_status(f"asking {config.name} what it is")
     with linked(config, file.parent) as link:
         findings = rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.read_facts(link))

@@ -6,7 +6,6 @@ from pathlib import Path
 from rtrun.commands._arguments import add_results, add_verbose
 from rtrun.commands._question import add_question, ask
 
-NAME = "report"
 HELP = "write one file: answer, plots, figures"
 EXAMPLES = (
     "rtrun report results/brakes",
@@ -25,7 +24,6 @@ _ENDINGS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The results, the format, the question."""
     add_results(parser)
     parser.add_argument("--format", choices=list(_ENDINGS), help="[as FILE ends, else html]")
     parser.add_argument(

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from rtrun.plan.run import Run
     from rtrun.results.record import RunStatus
 
-NAME = "run"
 HELP = "measure a campaign on a target; goes on where an earlier call stopped"
 EXAMPLES = (
     "rtrun run brakes.yml --target board.yml",
@@ -23,7 +22,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `run` takes."""
     add_campaign(parser)
     parser.add_argument(
         "--target",

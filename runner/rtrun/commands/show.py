@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from rtrun.results.reading import ClosedRun
     from rtrun.results.series import Result
 
-NAME = "show"
 HELP = "show the figures of a run, of all runs in a folder, of a log, or of samples"
 EXAMPLES = (
     "rtrun show results/brakes",
@@ -28,7 +27,6 @@ _TIMES = ("min", "mean", "max", "p50", "p90", "p99", "p99.9")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The path, and how to print."""
     add_results(parser)
     add_json(parser)
 

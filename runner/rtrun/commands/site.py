@@ -7,7 +7,6 @@ from rtrun.commands._archive import add_archive, add_deadline, read_with_deadlin
 from rtrun.commands._question import add_confidence, argument
 from rtrun.targets.address import check_server
 
-NAME = "site"
 HELP = "write static pages about an archive: every scenario's state and course, and figures for Grafana"
 EXAMPLES = (
     "rtrun site archive --output public",
@@ -19,7 +18,6 @@ _NOT_ASKED = "Which boards are offline or in quarantine is not known: no labgrid
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The archive, the folder, the deadline, the confidence."""
     add_archive(parser)
     parser.add_argument(
         "--output", type=Path, required=True, metavar="FOLDER", help="folder of the pages, made where missing"

@@ -6,7 +6,6 @@ from rtrun.commands._archive import add_archive, add_deadline, read_courses
 from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_confidence
 
-NAME = "trends"
 HELP = "say when quantiles and P(miss) in an archive changed, by how much, and what else changed then"
 EXAMPLES = (
     "rtrun trends archive",
@@ -15,7 +14,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The archive, the deadline, the confidence, how to print."""
     add_archive(parser)
     add_deadline(parser)
     add_json(parser)

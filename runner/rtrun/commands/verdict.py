@@ -9,7 +9,6 @@ from rtrun.commands._question import add_question, ask
 if TYPE_CHECKING:
     from rtrun.judgement.study import Study
 
-NAME = "verdict"
 HELP = "say for each group of runs whether the deadline is met, and what is still missing to be sure"
 EXAMPLES = (
     "rtrun verdict results/brakes",
@@ -18,7 +17,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The results, how to print, the question."""
     add_results(parser)
     add_json(parser)
     add_question(parser)

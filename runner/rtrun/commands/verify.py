@@ -4,7 +4,6 @@ import argparse
 
 from rtrun.commands._arguments import add_json, add_results
 
-NAME = "verify"
 HELP = "check the files of every run in a results folder against the checksums in its run.json"
 EXAMPLES = (
     "rtrun verify results/brakes",
@@ -14,7 +13,6 @@ FAILS = "a run is damaged or incomplete"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what `verify` takes."""
     add_results(parser, files=False)
     add_json(parser)
 

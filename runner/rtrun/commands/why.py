@@ -7,7 +7,6 @@ from rtrun.commands._arguments import add_json, add_results
 from rtrun.commands._question import add_of
 from rtrun.kinds.lateness import LATENESS
 
-NAME = "why"
 SHOWN = 3
 HELP = "say what late values waited for, from the kernel traces around them, and whether they have a period"
 EXAMPLES = (
@@ -17,7 +16,6 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The results, and a file for Perfetto."""
     add_results(parser, files=False)
     parser.add_argument("--all", action="store_true", help=f"every outlier with its parts, not the {SHOWN} worst")
     add_json(parser)

@@ -8,7 +8,7 @@ from report.campaigns import write_campaign
 from traced import specimen, write_traced_run
 
 import rtrun.cli
-from rtfiles.command import parser_of
+from rtfiles.command import called_as, parser_of
 from rtfiles.start import commands_of
 from rtrun.cli import main
 
@@ -52,7 +52,11 @@ def test_it_is_one_object_with_a_schema(folder, capsys, monkeypatch, command):
 
 def test_every_command_that_takes_json_is_here():
     """But for those that need a target: `tests/rtrun/targets` and `tests/suites` have them."""
-    takes = {each.NAME for each in commands_of("rtrun", rtrun.cli.COMMANDS) if "--json" in help_of(each.NAME)}
+    takes = {
+        called_as(each.__name__)
+        for each in commands_of("rtrun", rtrun.cli.COMMANDS)
+        if "--json" in help_of(called_as(each.__name__))
+    }
     assert takes == {command.split()[0] for command in COMMANDS} | {"probe", "check-rt", "observe", "influence", "farm"}
 
 

@@ -3,7 +3,6 @@
 import argparse
 from pathlib import Path
 
-NAME = "board"
 HELP = "make a board with a PREEMPT_RT kernel, ROS and SSH, from Debian's packages"
 EXAMPLES = (
     "rtgen board machines",

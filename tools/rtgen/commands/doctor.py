@@ -3,7 +3,6 @@
 import argparse
 from pathlib import Path
 
-NAME = "doctor"
 HELP = "check whether this host can build an image with BitBake"
 EXAMPLES = (
     "rtgen doctor",

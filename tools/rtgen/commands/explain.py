@@ -4,7 +4,6 @@ import argparse
 
 from rtgen.commands import DEFAULT_PROFILE
 
-NAME = "explain"
 HELP = "show layers, kernels, fragments and files of a profile"
 EXAMPLES = (
     "rtgen explain",

@@ -4,7 +4,6 @@ import argparse
 import sys
 from pathlib import Path
 
-NAME = "flash"
 HELP = "write an image to an SD card or USB stick and read it back"
 EXAMPLES = (
     "rtgen flash --image card.img --device /dev/mmcblk0 --yes",

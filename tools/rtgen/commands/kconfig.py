@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from rtgen.kconfig.data import Data
     from rtgen.kconfig.verify import Verification
 
-NAME = "kconfig"
 HELP = "render PREEMPT_RT kernel fragments, and verify that they take effect"
 EXAMPLES = (
     "rtgen kconfig render --check",

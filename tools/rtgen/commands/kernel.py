@@ -2,7 +2,6 @@
 
 import argparse
 
-NAME = "kernel"
 HELP = "build a PREEMPT_RT kernel from a machine's fragment"
 EXAMPLES = (
     "rtgen kernel build --machine qemu-armv7",

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from rtgen.commands import DEFAULT_PROFILE
 
-NAME = "new-profile"
 HELP = "copy a profile to a file of your own, to edit"
 EXAMPLES = (
     "rtgen new-profile mine.yml",

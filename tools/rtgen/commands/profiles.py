@@ -2,7 +2,6 @@
 
 import argparse
 
-NAME = "profiles"
 HELP = "list the profiles"
 EXAMPLES = (
     "rtgen profiles",

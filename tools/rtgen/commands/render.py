@@ -5,7 +5,6 @@ from pathlib import Path
 
 from rtgen.commands import DEFAULT_PROFILE
 
-NAME = "render"
 HELP = "write meta-rt-tests/ and kas.yml from a profile, and what the suites' programs know of suites.yml"
 EXAMPLES = (
     "rtgen render --check",

@@ -3,7 +3,6 @@
 import argparse
 from pathlib import Path
 
-NAME = "suites"
 HELP = "build the measuring programs for this machine or a board"
 EXAMPLES = (
     "rtgen suites build",
