@@ -227,7 +227,7 @@ def measured(plant: Plant, runs_wanted: int, place: Place, folder: Path, results
 
 def explained_in(run: Path, place: Place) -> Iterator[list[Explained]]:
     """The outliers of each slice of a run."""
-    explained, refused = causes.explain_source(find_source(run))
+    explained, refused = causes.ranked(find_source(run))[1:]
     if refused:
         raise RuntimeError("\n".join(refused))
     for first in range(0, place.slices * place.repetitions, place.repetitions):

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
@@ -104,6 +105,7 @@ def _case(
     boots = 0 if history is None else len(history.boots())
     n, misses = (sum(numbers) for numbers in zip(*build.misses(), strict=True))
     worst_ns = max((run.point.max_ns for run in build.runs if run.point.max_ns is not None), default=None)
+    case = partial(Case, about=build.label, n=n, misses=misses, worst_ns=worst_ns)
     shared = [
         (figure, before, now)
         for figure in get_args(Figure)
@@ -114,9 +116,7 @@ def _case(
         text = f"{boots} boots of it are in the archive, {LEAST_BOOTS} are needed{since}"
         if boots >= LEAST_BOOTS:
             text = "too few measurements a run for any figure"
-        return Case(
-            about=build.label, answer="NO HISTORY", text=text, passed=False, n=n, misses=misses, worst_ns=worst_ns
-        )
+        return case(answer="NO HISTORY", text=text, passed=False)
     level = level_of_test(false_alarms, len(shared))
     compared = [(figure, _compare(figure, now, before, margin_ns, level)) for figure, before, now in shared]
     exceeds = [(figure, against) for figure, against in compared if against.exceeds]
@@ -129,25 +129,18 @@ def _case(
     passed = not exceeds
     if passed and (why := why_not_accepted(Platform(build.platform), platform)):
         text, passed = f"{text}; {why}", False
-    return Case(
-        about=build.label,
+    return case(
         answer="WORSE" if worse else "PERHAPS WORSE" if exceeds else "NOT WORSE",
         text=text,
         passed=passed,
-        n=n,
-        misses=misses,
-        worst_ns=worst_ns,
         reason="" if passed else None,
         changed=tuple(changed_facts(history.boots(), build.boots())) if exceeds else (),
     )
 
 
 def _advice(boots: int) -> str:
-    if boots == 1:
-        return "this may be one bad boot: measure a second boot, and put its runs into the same folder"
-    return (
-        f"this may be the worst of its {boots} boots alone: measure another boot, and put its runs into the same folder"
-    )
+    bad, more = ("one bad boot", "a second") if boots == 1 else (f"the worst of its {boots} boots alone", "another")
+    return f"this may be {bad}: measure {more} boot, and put its runs into the same folder"
 
 
 def _compare(figure: Figure, build: Course, history: Course, margin_ns: float | None, level: float) -> Against:

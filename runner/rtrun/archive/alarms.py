@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import date, datetime
+from datetime import date, datetime, time
 from typing import Literal
 
 from rtfiles.output import counted
@@ -103,7 +103,7 @@ def worse_builds(gate: Gate, build: str, notes: Notes, pages: Sequence[Course]) 
                 suspected="; ".join(case.changed) or NOTHING_KNOWN,
                 page=page_of.get(case.about),
                 key=_key("build", build, case.about),
-                known=next((note.words for note in notes.known(machine, scenario)), None),
+                known=_known(notes, machine, scenario),
             )
         )
     return alarms
@@ -114,18 +114,18 @@ def board_alarms(boards: Iterable[BoardHealth], notes: Notes) -> list[Alarm]:
     alarms: list[Alarm] = []
     for board in boards:
         alarms += [_failed(board, scenario, notes) for scenario in board.failed]
+        known = _known(notes, board.board)
         if board.offline:
             # If it was measured in between, it is offline anew.
             since_run = str(board.last_seen)
-            known = next((note.words for note in notes.known(board.board, None)), None)
-            alarms.append(_of_board("offline", board, board.offline, "not known", key=since_run, known=known))
+            alarms.append(_of_board("offline", board, board.offline, "not known", since_run, known))
         if board.quarantine:
             day = since(board.quarantine)
-            known = _known(board.board, day, notes)
+            # A note is about a quarantine that had begun; a later quarantine is another one.
+            of_this = _known(notes, board.board, since=datetime.combine(day or date.min, time.min))
             when = str(day) if day else "not known: its tag has no day"
-            alarms.append(_of_board("quarantine", board, in_words(board.quarantine), when, board.quarantine, known))
+            alarms.append(_of_board("quarantine", board, in_words(board.quarantine), when, board.quarantine, of_this))
         if board.is_new:
-            known = next((note.words for note in notes.known(board.board, None)), None)
             size = f"measured on {counted(board.boots, 'boot')}: changes are seen from {LEAST_BOOTS} boots on"
             alarms.append(_of_board("new", board, size, "its first run", "", known))
     return alarms
@@ -147,7 +147,6 @@ def _of_board(kind: Kind, board: BoardHealth, size: str, when: str, key: str, kn
 def _failed(board: BoardHealth, scenario: ScenarioHealth, notes: Notes) -> Alarm:
     first, row = scenario.failures[0], scenario.last
     since_first = f"{first.start_utc:%Y-%m-%d %H:%M} UTC" if first.start_utc else "an unknown time"
-    fitting = (note for note in notes.known(row.machine, row.scenario) if (first.start_utc or datetime.min) <= note.at)
     return Alarm(
         kind="failed",
         about=f"{row.scenario} on {board.board}",
@@ -156,7 +155,7 @@ def _failed(board: BoardHealth, scenario: ScenarioHealth, notes: Notes) -> Alarm
         suspected=f"see the run {row.run} in its results folder",
         page=BOARDS_PAGE,
         key=_key("failed", board.board, row.suite, row.parameters, row.platform, first.run_key),
-        known=next((note.words for note in fitting), None),
+        known=_known(notes, row.machine, row.scenario, first.start_utc or datetime.min),
     )
 
 
@@ -165,9 +164,9 @@ def last_seen(board: BoardHealth) -> str:
     return f"last seen {board.last_seen:%Y-%m-%d %H:%M} UTC" if board.last_seen else "never seen in a run"
 
 
-def _known(place: str, day: date | None, notes: Notes) -> str | None:
-    """The note that calls a quarantine known, since the quarantine began; a later quarantine is another one."""
-    return next((note.words for note in notes.known(place, None) if day is None or day <= note.at.date()), None)
+def _known(notes: Notes, board: str, scenario: str | None = None, since: datetime = datetime.min) -> str | None:
+    """The first note since then that calls a problem of a board, or of a scenario on it, known."""
+    return next((note.words for note in notes.known(board, scenario) if since <= note.at), None)
 
 
 def _key(*words: str) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from rtrun.archive.runs import RunRow
+from rtrun.archive.runs import RunRow, by_time
 from rtrun.archive.states import LEAST_BOOTS
 from rtrun.targets.labgrid.coordinator import (
     LabgridPlace,
@@ -96,7 +96,7 @@ def _board(
     name: str, rows: Sequence[RunRow], place: LabgridPlace | None, offered: Sequence[OfferedResource]
 ) -> BoardHealth:
     scenarios: dict[tuple[str, ...], list[RunRow]] = {}
-    for row in sorted(rows, key=_when):
+    for row in sorted(rows, key=by_time):
         scenarios.setdefault((row.scenario, row.suite, row.parameters, row.platform), []).append(row)
     tags: Mapping[str, str] = place.tags if place else {}
     missing = unoffered(place, offered) if place else []
@@ -116,10 +116,6 @@ def _board(
 def _scenario(rows: Sequence[RunRow]) -> ScenarioHealth:
     good = max((number for number, row in enumerate(rows) if row.status == "ok"), default=-1)
     return ScenarioHealth(last=rows[-1], failures=rows[good + 1 :])
-
-
-def _when(row: RunRow) -> tuple[datetime, str]:
-    return row.start_utc or datetime.min, row.run_key  # a run without a time tells nothing about today
 
 
 def _last(rows: Iterable[RunRow]) -> datetime | None:

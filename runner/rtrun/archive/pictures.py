@@ -12,7 +12,7 @@ from rtrun.archive.trends import Trend
 from rtrun.plan.suites import in_words
 from rtrun.report.plots import axes
 from rtrun.report.plots.axes import Axis
-from rtrun.report.plots.drawing import Mark, Plot
+from rtrun.report.plots.drawing import Mark, Plot, make_mark
 
 _COLOURS = (0, 2, 3, 6, 1)  # of the lines, and of the highest value
 _SPAN = 10.0  # ratio of the highest to the lowest value from which an axis is logarithmic
@@ -34,7 +34,7 @@ def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int) -
         text = f"deadline {time(deadline_ns)}"
         limit = ([along.scale.low, along.scale.high], [deadline_ns] * 2) if shows_limit else ([], [])
         marks = [_line(k, name, seconds, each) for k, (name, each) in zip(_COLOURS, values.items(), strict=True)]
-        marks.append(_mark(f"{text}{'' if shows_limit else ', above the top'}", *limit, 0))
+        marks.append(make_mark("limit", f"{text}{'' if shows_limit else ', above the top'}", *limit))
         plots.append(
             Plot(
                 id="values",
@@ -83,20 +83,13 @@ def _scale(values: Sequence[float]) -> Scale:
 def _line(colour: int, name: str, x: Floats, y: Floats) -> Mark:
     known = np.isfinite(y)
     # A single point has no line.
-    return Mark(
-        name=name, kind="solid" if np.count_nonzero(known) > 1 else "dots", x=x[known], y=y[known], colour=colour
-    )
-
-
-def _mark(name: str, x: Sequence[float], y: Sequence[float], colour: int) -> Mark:
-    x_values, y_values = (np.asarray(values, dtype=np.float64) for values in (x, y))
-    return Mark(name=name, kind="limit", x=x_values, y=y_values, colour=colour)
+    return make_mark("solid" if np.count_nonzero(known) > 1 else "dots", name, x[known], y[known], colour)
 
 
 def _changes(trends: Sequence[Trend], up: Axis) -> list[Mark]:
     ends = [up.scale.low, up.scale.high]
     return [
-        _mark(f"{one.figure} {one.word.lower()}", [_seconds(one.first_after)] * 2, ends, 1)
+        make_mark("limit", f"{one.figure} {one.word.lower()}", [_seconds(one.first_after)] * 2, ends, 1)
         for one in trends
         if one.first_after is not None
     ]

@@ -109,7 +109,8 @@ def tell(receiver: CommandReceiver | HookReceiver | MailReceiver, alarms: Sequen
     try:
         match receiver:
             case CommandReceiver():
-                _call(receiver.command, as_text(alarms, site, most=len(alarms)))
+                text = as_text(alarms, site, most=len(alarms))
+                _run(receiver.command, text.encode(), of_user=True)
             case HookReceiver():
                 _deliver(kind="hook", url=receiver.url, data=as_data(alarms, site))
             case MailReceiver():
@@ -162,31 +163,16 @@ def _shown(alarm: Alarm, site: str | None) -> dict[str, str | None]:
     return {**texts, "link": f"{site.rstrip('/')}/{alarm.page}" if site and alarm.page else None}
 
 
-class _Failed(Exception):
-    """A command ended with a status other than 0, and this was its last line."""
-
-    def __init__(self, status: int, line: str) -> None:
-        super().__init__(line)
-        self.status = status
-
-
-def _call(command: Sequence[str], text: str) -> None:
-    try:
-        _run(command, text.encode())
-    except _Failed as error:
-        raise subprocess.SubprocessError(f"{command[0]} ended with {error.status}: {error}") from None
-
-
 def _deliver(**message: Any) -> None:
     program = Path(__file__).with_name("delivering.py")
     _run([sys.executable, "-I", str(program)], json.dumps({**message, "timeout_s": RECEIVE_S}).encode())
 
 
-def _run(command: Sequence[str], content: bytes) -> None:
+def _run(command: Sequence[str], content: bytes, *, of_user: bool = False) -> None:
     """Run a command that reads `content`, and wait until it ends, but not for its background processes.
 
-    Raises OSError where it cannot be started, _Failed where it fails, and SubprocessError where it takes longer than
-    RECEIVE_S; then its whole process group is killed.
+    Raises OSError where it cannot be started, and SubprocessError where it fails, or takes longer than RECEIVE_S; then
+    its whole process group is killed. Only a command `of_user` is named: ours prints the whole error.
     """
     with tempfile.TemporaryFile() as source:  # it would have to read all of a pipe
         source.write(content)
@@ -206,7 +192,8 @@ def _run(command: Sequence[str], content: bytes) -> None:
         raise
     if process.returncode:
         end.join(_STDERR_S)
-        raise _Failed(process.returncode, end.last_line())
+        ended = f"{command[0]} ended with {process.returncode}: " if of_user else ""
+        raise subprocess.SubprocessError(f"{ended}{end.last_line()}")
 
 
 class _End(threading.Thread):

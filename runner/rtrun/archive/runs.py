@@ -111,15 +111,12 @@ def read_archive(store: Store, now: datetime | None = None) -> Archive:
 
 def last_runs(rows: Iterable[RunRow]) -> dict[str, RunRow]:
     """The last run of each board, by the board's name."""
-    last: dict[str, RunRow] = {}
-    for row in rows:
-        if row.machine not in last or _begin(row) >= _begin(last[row.machine]):
-            last[row.machine] = row
-    return last
+    return {row.machine: row for row in sorted(rows, key=by_time)}
 
 
-def _begin(row: RunRow) -> datetime:
-    return row.start_utc or datetime.min
+def by_time(row: RunRow) -> tuple[datetime, str]:
+    """Sorts runs; one without a time comes first, as it tells nothing about today."""
+    return row.start_utc or datetime.min, row.run_key
 
 
 def ignored_by(row: RunRow, notes: Notes) -> IgnoreNote | None:

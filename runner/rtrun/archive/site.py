@@ -5,7 +5,6 @@ Pages of the report and of the site share styles and plotting code.
 
 from collections import Counter
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,9 @@ from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
 from rtrun.archive.queries import SHOWN
 from rtrun.archive.states import SAID, CourseState, state_of
-from rtrun.archive.trends import Trend, as_text
-from rtrun.report.html_pages import drawings, script, templates
+from rtrun.archive.trends import Trend, as_text, shown_time
+from rtrun.report.html_pages import script, templates
+from rtrun.report.plots.drawing import drawn
 from rtrun.report.terminal import BANNERS
 from rtrun.targets.inspection.platform import Platform
 from rtrun.targets.labgrid.health import in_words
@@ -74,7 +74,7 @@ def write_site(
     }
     drawing = script("plots.js")
     for card in cards:
-        plots = drawings(course_plots(card["course"], card["trends"], deadline_ns=deadline_ns))
+        plots = [drawn(plot) for plot in course_plots(card["course"], card["trends"], deadline_ns=deadline_ns)]
         pages[card["page"]] = page.render(card=card, plots=plots, script=drawing, **words)
     pages["metrics.txt"] = open_metrics(courses, boards, deadline_ns=deadline_ns)
     pages["grafana-dashboard.json"] = grafana_dashboard()
@@ -99,8 +99,8 @@ def _health(board: BoardHealth) -> dict[str, Any]:
     return {
         "board": board.board,
         "said": said or [("proven", "✓ no run failed" if not board.in_farm else "✓ in order")],
-        "last_seen": _moment(board.last_seen),
-        "last_run": _moment(board.last_run),
+        "last_seen": shown_time(board.last_seen),
+        "last_run": shown_time(board.last_run),
     }
 
 
@@ -110,22 +110,18 @@ def _failed_row(board: BoardHealth, scenario: ScenarioHealth) -> tuple[str, ...]
         board.board,
         last.scenario,
         scenario.reason[:REASON_MAX],
-        _moment(last.start_utc),
+        shown_time(last.start_utc),
         str(len(scenario.failures)),
-        _moment(first.start_utc),
+        shown_time(first.start_utc),
         last.run,
     )
-
-
-def _moment(moment: datetime | None) -> str:
-    return f"{moment:%Y-%m-%d %H:%M}" if moment else "unknown"
 
 
 def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[str, Any]:
     misses = [run.point.misses for run in course.runs]
     rows = [
         (
-            f"{run.point.start_utc:%Y-%m-%d %H:%M}",
+            shown_time(run.point.start_utc),
             run.point.kernel or "unknown",
             run.facts.get("commit", "unknown"),
             grouped(run.point.n),

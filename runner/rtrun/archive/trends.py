@@ -140,9 +140,9 @@ def as_text(trend: Trend, *, confidence: float) -> list[str]:
     else:
         amounts = [time(value) for value in (change.before, change.after)]
         interval = f"{signed(change.low)} to {signed(change.high)}"
-    when = f"between {_time(trend.last_before)} and {_time(trend.first_after)}"
+    when = f"between {shown_time(trend.last_before)} and {shown_time(trend.first_after)}"
     if trend.earliest != trend.latest:
-        when += f"; the new level may have begun from {_time(trend.earliest)} to {_time(trend.latest)}"
+        when += f"; the new level may have begun from {shown_time(trend.earliest)} to {shown_time(trend.latest)}"
     return [
         f"{trend.figure} {amounts[0]} -> {amounts[1]}, {100 * confidence:g} % CI of the shift {interval}",
         f"when: {when}",
@@ -152,7 +152,8 @@ def as_text(trend: Trend, *, confidence: float) -> list[str]:
     ]
 
 
-def _time(time: datetime | None) -> str:
+def shown_time(time: datetime | None) -> str:
+    """A time to the minute, in UTC."""
     return f"{time:%Y-%m-%d %H:%M}" if time else "unknown"
 
 

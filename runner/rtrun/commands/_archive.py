@@ -34,22 +34,19 @@ def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
 
 
 def read_with_deadline(args: argparse.Namespace) -> "tuple[Archive, int]":
-    """Read the archive, and the deadline in ns. Raises as `read_courses` does."""
-    from rtrun.plan.question import THESIS
+    """Read the archive, and the deadline in ns. Prints a remark on runs that do not count.
 
-    return read(args), args.deadline or THESIS.deadline_ns
-
-
-def read(args: argparse.Namespace) -> "Archive":
-    """Read the archive, and print a remark on runs that do not count. Raises as `read_courses` does."""
+    Raises as `read_courses` does.
+    """
     from rtfiles.output import counted, print_note
     from rtrun.archive.extra import check_extra
 
     check_extra()
     from rtrun.archive.runs import read_archive
     from rtrun.archive.store import open_archive
+    from rtrun.plan.question import THESIS
 
     archive = read_archive(open_archive(args.archive))
     for words, number in archive.ignored.items():
         print_note(f"rtrun: {counted(number, 'run')} ignored: {words}")
-    return archive
+    return archive, args.deadline or THESIS.deadline_ns

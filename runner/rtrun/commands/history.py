@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING, get_args
 
 from rtrun.archive import By
-from rtrun.commands._archive import add_archive, add_deadline, read
+from rtrun.commands._archive import add_archive, add_deadline, read_with_deadline
 from rtrun.commands._arguments import add_json
 
 if TYPE_CHECKING:
@@ -32,12 +32,10 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_json, print_line
 
-    archive = read(args)
+    archive, deadline_ns = read_with_deadline(args)
     from rtrun.archive.history import as_data, print_course
     from rtrun.archive.queries import figures
-    from rtrun.plan.question import THESIS
 
-    deadline_ns = args.deadline or THESIS.deadline_ns
     points = figures(archive, args.by, deadline_ns=deadline_ns, of=args.of)
     if args.json:
         print_json(as_data(points, by=args.by, deadline_ns=deadline_ns))

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtrun.commands._archive import add_archive, add_deadline, read
+from rtrun.commands._archive import add_archive, add_deadline, read_with_deadline
 from rtrun.commands._question import add_confidence
 
 if TYPE_CHECKING:
@@ -50,13 +50,12 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.archive.fleet import ask_farm, boards_of
     from rtrun.archive.notifications import ALARMS_MAX, add_told, check_memory, not_told, read_told
     from rtrun.archive.receivers import Receivers, tell
-    from rtrun.plan.question import THESIS
 
     config = load(args.receivers, Receivers)
     names = [each.name for each in config.receivers]
     if len({*names}) < len(names):
         raise UsageError(f"{args.receivers}: receivers: two of one name: what each was told is kept by its name")
-    archive, deadline_ns = read(args), args.deadline or THESIS.deadline_ns
+    archive, deadline_ns = read_with_deadline(args)
     alarms = _worse(args, archive, courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns)
     failures = []
     if not args.results:

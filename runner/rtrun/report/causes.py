@@ -59,16 +59,8 @@ LISTED_FROM = 0.01
 REMEDY_FROM = 0.1
 
 
-def explain_source(source: Source) -> tuple[tuple[Explained, ...], tuple[str, ...]]:
-    """The traced outliers of every run at a path, and the reason for each run with unreadable traces."""
-    explained: list[Explained] = []
-    refused: list[str] = []
-    for folder in showing_progress(source.folders, "looking for causes in run"):
-        try:
-            explained += explain_run(folder, read_record(folder))
-        except UsageError as error:
-            refused.append(str(error))
-    return tuple(explained), tuple(refused)
+# Their values do not count.
+_FAILED = (RunStatus.FAILED, RunStatus.INVALID)
 
 
 def periods(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]:
@@ -76,7 +68,7 @@ def periods(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]
 
     `of` is the series of the values; None: the series of each run's traces.
     """
-    found, refused = _search(source, partial(recurring, of=of))
+    found, refused = _search(source, partial(recurring, of=of), without=_FAILED)
     rows = [
         (
             one.run,
@@ -100,14 +92,16 @@ def periods(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]
     ), refused
 
 
-def _search(source: Source, find: Callable[[Path, RunRecord], Iterable[T]]) -> tuple[list[T], tuple[str, ...]]:
-    """What is found in the runs that may count, and why a run could not be searched."""
+def _search(
+    source: Source, find: Callable[[Path, RunRecord], Iterable[T]], *, without: Sequence[RunStatus] = ()
+) -> tuple[list[T], tuple[str, ...]]:
+    """What is found in the runs, `without` those of these statuses, and why a run could not be searched."""
     found: list[T] = []
     refused: list[str] = []
     for folder in showing_progress(source.folders, "searching run"):
         try:
             record = read_record(folder)
-            if record.status not in (RunStatus.FAILED, RunStatus.INVALID):
+            if record.status not in without:
                 found += find(folder, record)
         except UsageError as error:
             refused.append(str(error))
@@ -128,7 +122,7 @@ def surroundings(source: Source, of: Measure | None) -> tuple[Table, tuple[str, 
 
     `of` is the same as for `periods`.
     """
-    found, refused = _search(source, partial(find_unusual, of=of))
+    found, refused = _search(source, partial(find_unusual, of=of), without=_FAILED)
     named = Counter(one.quantity for one in found).most_common(1)
     return Table(
         id="surroundings",
@@ -384,5 +378,5 @@ def _percent(part_ns: int, whole_ns: int) -> str:
 
 def ranked(source: Source) -> Found:
     """The ranking at a path, the outliers it is based on, and what was refused."""
-    explained, refused = explain_source(source)
-    return rank(explained), explained, refused
+    explained, refused = _search(source, explain_run)
+    return rank(explained), tuple(explained), refused

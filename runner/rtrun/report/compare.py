@@ -1,13 +1,12 @@
 """A comparison as text for people, and as JSON for programs."""
 
-import dataclasses
 import json
 import math
-from typing import Any
 
 from rtfiles.quantities import percent, signed, time
 from rtrun.analysis.comparison.differences import Comparison, ComparisonAnswer, Ratio, Shift
 from rtrun.judgement.compare import Compared
+from rtrun.report.quantities import as_data
 from rtrun.report.terminal import banner_of
 
 
@@ -78,17 +77,9 @@ def _ratio(ratio: Ratio | None, confidence: float) -> str:
 
 def as_json(compared: Compared) -> str:
     """The answer for programs; infinite ends are null, and so are intervals that too few runs do not allow."""
-    data = _finite(dataclasses.asdict(compared))
+    data = as_data(compared)
     for change in data["changes"]:
         if change["comparison"]["units"] == "blocks":
             for shift in change["comparison"]["shifts"]:
                 shift |= {"low_ns": None, "high_ns": None}
     return json.dumps({"schema": 2, **data}, indent=1, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

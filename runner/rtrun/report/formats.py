@@ -1,10 +1,8 @@
 """The other formats of a report: Markdown, JSON, JUnit, LAVA, CSV, Parquet. The same study gives the same bytes."""
 
 import csv
-import dataclasses
 import io
 import json
-import math
 import re
 from typing import Any
 from xml.etree import ElementTree
@@ -17,7 +15,7 @@ from rtrun.judgement.gate import Gate
 from rtrun.judgement.study import Study
 from rtrun.report.contents import Contents
 from rtrun.report.how import explanations
-from rtrun.report.quantities import lost, times_ns, us
+from rtrun.report.quantities import as_data, lost, times_ns, us
 from rtrun.report.run_facts import fingerprint
 from rtrun.report.tables import Table
 
@@ -83,9 +81,9 @@ def as_json(study: Study) -> str:
                 "parameters": group.parameters,
                 "runs": list(group.runs),
                 "n": group.n,
-                "verdict": _data(group.verdict),
+                "verdict": as_data(group.verdict),
                 "undecidable": group.undecidable,
-                "worst_case": _data(group.bounds),
+                "worst_case": as_data(group.bounds),
                 "no_worst_case": group.no_bound,
             }
             for group in study.answers
@@ -96,18 +94,6 @@ def as_json(study: Study) -> str:
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
-def _data(value: Any) -> Any:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _data(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {f"p{key:g}" if isinstance(key, float) else str(key): _data(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_data(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def _series(one: Digest) -> dict[str, Any]:
     return {
         "run": one.run,
@@ -116,9 +102,9 @@ def _series(one: Digest) -> dict[str, Any]:
         "series": one.header.series,
         "parameters": one.header.parameters,
         "platform": one.header.platform,
-        "figures": _data(one.figures),
-        "startup": _data(one.header.startup),
-        "negative_cluster": _data(one.cluster),
+        "figures": as_data(one.figures),
+        "startup": as_data(one.header.startup),
+        "negative_cluster": as_data(one.cluster),
         **lost(one.header),
         "remarks": list(one.header.remarks),
     }

@@ -1,11 +1,8 @@
 """Shared by HTML pages: those of the report, and those of a site about an archive."""
 
 import json
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from rtrun.report.plots.drawing import Drawn, Plot, drawn
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -32,11 +29,6 @@ def templates(*folders: Path) -> "Environment":
 def script(*names: str) -> str:
     """Scripts of the report, one after another."""
     return "\n".join((_FOLDER / name).read_text(encoding="utf-8") for name in names)
-
-
-def drawings(plots: Iterable[Plot]) -> list[Drawn]:
-    """The plots in the form that a template takes."""
-    return [drawn(plot) for plot in plots]
 
 
 def as_json(value: Any) -> str:

@@ -8,9 +8,10 @@ from rtrun.judgement.study import Study
 from rtrun.report import layers
 from rtrun.report.contents import Contents
 from rtrun.report.how import explanations
-from rtrun.report.html_pages import drawings, script, templates
+from rtrun.report.html_pages import script, templates
 from rtrun.report.plots import axes
 from rtrun.report.plots.charts import plots
+from rtrun.report.plots.drawing import drawn
 from rtrun.report.plots.graph import drawn_topology
 from rtrun.report.plots.stacks import stacked
 from rtrun.report.quantities import times_ns
@@ -55,8 +56,8 @@ def html(study: Study, contents: Contents) -> str:
 
 def _card(study: Study, scenario: Scenario) -> dict[str, Any]:
     style, mark = _ANSWERS[scenario.answer]
-    drawn = drawings(plots(scenario, probability=study.question.probability))
-    return {"scenario": scenario, "style": style, "mark": mark, "plots": drawn}
+    drawings = [drawn(plot) for plot in plots(scenario, probability=study.question.probability)]
+    return {"scenario": scenario, "style": style, "mark": mark, "plots": drawings}
 
 
 def _overview(cards: list[dict[str, Any]]) -> dict[str, Any] | None:

@@ -4,6 +4,10 @@ A time is called min, mean, std, max or, as a percentile, p99.9. Tables write it
 microseconds, as min_us.
 """
 
+import dataclasses
+import math
+from typing import Any
+
 from rtrun.analysis.figures import PERCENTILES, Figures
 from rtrun.results.series import Header
 
@@ -26,3 +30,14 @@ def lost(header: Header) -> dict[str, int]:
 def us(value_ns: float | None) -> float | None:
     """A time in the unit of files."""
     return None if value_ns is None else value_ns / 1000
+
+
+def as_data(value: Any) -> Any:
+    """A value as JSON takes it: numbers that are not finite are null, and percentiles are called by their words."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: as_data(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {f"p{key:g}" if isinstance(key, float) else str(key): as_data(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_data(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

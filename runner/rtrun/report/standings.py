@@ -26,7 +26,7 @@ from rtrun.report.tables import Table
 
 def question(study: Study) -> str:
     """The question that is answered."""
-    boots = _count(study.question.boots, "boot", "")
+    boots = counted(study.question.boots, "boot")
     return f"asked: {study.asked_in_full}, on at least {boots}, covering {study.question.covered}"
 
 
@@ -115,7 +115,7 @@ def missing(standing: Standing) -> str:
         return hidden
     if verdict.change is not None:
         return _changed(verdict.change)
-    parts = [_count(verdict.boots_missing, "boot")] if verdict.boots_missing else []
+    parts = [counted(verdict.boots_missing, "more boot")] if verdict.boots_missing else []
     if is_short_of_bursts(verdict):
         parts.append(f"for {held_for(verdict)} it already holds")
     if not verdict.misses and verdict.further:
@@ -127,10 +127,6 @@ def missing(standing: Standing) -> str:
         answer, further = verdict.further_likely
         parts.append(f"{amount(verdict, further, 'more')} at the rate seen, then {answer}")
     return "; ".join(parts)
-
-
-def _count(number: int, noun: str, more: str = "more ") -> str:
-    return counted(number, f"{more}{noun}")
 
 
 def as_data(standings: Sequence[Standing]) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from rtrun.judgement.digest import Digest, JudgedDigest
 from rtrun.judgement.groups import slowest
 from rtrun.report.plots import axes
 from rtrun.report.plots.axes import Axis
-from rtrun.report.plots.drawing import Cells, Mark, Plot
+from rtrun.report.plots.drawing import Cells, Mark, Plot, make_mark
 from rtrun.report.scenarios import Scenario, output_labels
 
 _BINS = 240
@@ -47,11 +47,6 @@ def plots(scenario: Scenario, *, probability: float) -> list[Plot]:
     return made
 
 
-def _mark(kind: Any, name: str, x: Any, y: Any, colour: int = 0, **more: Any) -> Mark:
-    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    return Mark(kind=kind, name=name, x=x, y=y, colour=colour, **more)
-
-
 def _limit(limit_ns: float | None, along: Axis, across: Axis, *, is_upright: bool) -> list[Mark]:
     """The line of the deadline; nothing without a deadline, and only its name where it is beyond the axis."""
     if limit_ns is None:
@@ -59,10 +54,10 @@ def _limit(limit_ns: float | None, along: Axis, across: Axis, *, is_upright: boo
     scale = along.scale
     if not scale.low <= limit_ns <= scale.high:
         side = "beyond the right end" if is_upright else "above the top"
-        return [_mark("limit", f"deadline {time(limit_ns)}, {side}", [], [])]
+        return [make_mark("limit", f"deadline {time(limit_ns)}, {side}", [], [])]
     ends = [across.scale.low, across.scale.high]
     x, y = ([limit_ns] * 2, ends) if is_upright else (ends, [limit_ns] * 2)
-    return [_mark("limit", f"deadline {time(limit_ns)}", x, y)]
+    return [make_mark("limit", f"deadline {time(limit_ns)}", x, y)]
 
 
 def _histograms(shown: Sequence[Digest], along: Axis, limit_ns: float | None) -> Plot:
@@ -73,7 +68,7 @@ def _histograms(shown: Sequence[Digest], along: Axis, limit_ns: float | None) ->
     marks = []
     for k, (name, bins) in enumerate(named):
         counts = np.append(_counted(bins, edges), 0.0)
-        marks.append(_mark("steps", name, edges, counts, k))
+        marks.append(make_mark("steps", name, edges, counts, k))
     top = max(float(mark.y.max()) for mark in marks)
     up = axes.many("count", _EMPTY, max(top, 1.0) * 1.2)
     return Plot(
@@ -116,7 +111,7 @@ def _exceedance(
     ends = [along.scale.low, along.scale.high]
     asked = _limit(limit_ns, along, up, is_upright=True)
     if asked:
-        asked.append(_mark("limit", f"P = {probability:g}, asked for", ends, [probability] * 2, 1))
+        asked.append(make_mark("limit", f"P = {probability:g}, asked for", ends, [probability] * 2, 1))
     return Plot(
         id="shares",
         caption=f"Share of the values above each value{', with the fitted tail' if tails else ''}."
@@ -132,7 +127,7 @@ def _share_above(k: int, name: str, bins: Histogram) -> Mark:
     # No value is above the last one, which a logarithm cannot show: half a value stands for it.
     keep = _thin(np.log10(bins.n / np.maximum(above, 0.5)), 200)
     x = np.concatenate(([bins.values_ns[0]], bins.values_ns[keep] + bins.bin_ns))
-    return _mark("steps", name, x, np.concatenate(([1.0], np.maximum(above[keep], 0.5) / bins.n)), k)
+    return make_mark("steps", name, x, np.concatenate(([1.0], np.maximum(above[keep], 0.5) / bins.n)), k)
 
 
 def _thin(places: Any, most: int) -> Any:
@@ -156,8 +151,8 @@ def _tail(bound: Bound, scale: Scale) -> list[Mark]:
     beyond = "" if bound.high_ns <= scale.high else ", beyond the right end"
     dot = ([], []) if beyond else ([bound.high_ns], [bound.probability])
     return [
-        _mark("line", "fitted tail (GPD), bursts count once", values[inside], (chances * bound.rate)[inside], 1),
-        _mark("dots", f"{name}{beyond}", *dot, 2),
+        make_mark("line", "fitted tail (GPD), bursts count once", values[inside], (chances * bound.rate)[inside], 1),
+        make_mark("dots", f"{name}{beyond}", *dot, 2),
     ]
 
 
@@ -169,14 +164,16 @@ def _course(one: JudgedDigest, up: Axis, limit_ns: float | None, *, name: str) -
     loops = skipped + np.arange(size + 1) * course.width
     along = axes.counts("loop", float(skipped), float(loops[-1]))
     if course.width == 1:
-        marks = [_mark("line", "values", loops[:-1], course.high_ns)]
+        marks = [make_mark("line", "values", loops[:-1], course.high_ns)]
         caption = "Values over the loops"
     else:
         low, high = (np.append(values, values[-1]) for values in (course.low_ns, course.high_ns))
         caption = f"Lowest to highest of each {grouped(course.width)} loops"
-        marks = [_mark("area", caption[0].lower() + caption[1:], loops, high, low=low.astype(np.float64))]
+        marks = [make_mark("area", caption[0].lower() + caption[1:], loops, high, low=low.astype(np.float64))]
     listed = [(e.index, e.value_ns) for e in one.figures.top if e.index is not None]
-    marks.append(_mark("dots", f"{len(listed)} highest", [at for at, _ in listed], [value for _, value in listed], 1))
+    marks.append(
+        make_mark("dots", f"{len(listed)} highest", [at for at, _ in listed], [value for _, value in listed], 1)
+    )
     where = f" of {name}, where the highest value is" if name else ""
     return Plot(
         id="course",

@@ -40,6 +40,12 @@ class Mark:
     colour: int = 0
 
 
+def make_mark(kind: Kind, name: str, x: Any, y: Any, colour: int = 0, low: Floats | None = None) -> Mark:
+    """A mark of any numbers."""
+    x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    return Mark(kind=kind, name=name, x=x, y=y, colour=colour, low=low)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Cells:
     """Counts as colours: `counts` (rows, columns) between the column edges and the row edges."""
