@@ -52,14 +52,14 @@ def worse_courses(trends: Iterable[Trend], *, confidence: float) -> list[Alarm]:
         last.setdefault(trend.course.identity, {})[trend.figure] = trend
     alarms = []
     for figures in last.values():
-        worse = [trend for trend in figures.values() if trend.is_worse and _is_of_concern(trend)]
+        worse = [
+            one
+            for one in figures.values()
+            if one.is_worse and one.change.low > of_no_concern(one.figure, one.change.before)
+        ]
         if worse:
             alarms.append(_of_course(worse[0].course, worse, confidence))
     return alarms
-
-
-def _is_of_concern(trend: Trend) -> bool:
-    return trend.change.low > of_no_concern(trend.figure, trend.change.before)
 
 
 def of_no_concern(figure: str, level: float) -> float:

@@ -9,8 +9,8 @@ pack supersedes the older. A file is removed only if its runs have expired or ar
 import hashlib
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import NamedTuple
 
 import pyarrow
 
@@ -27,8 +27,7 @@ GRACE = timedelta(days=1)
 _ROWS = {"runs": PACKED_MAX, "histograms": BINS_MAX, "samples": BINS_MAX}
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Compaction:
+class Compaction(NamedTuple):
     """What became of the files of an archive.
 
     `packed` files were combined into `packs`, `removed` files are gone, `waiting` files are superseded and within the
@@ -39,14 +38,6 @@ class Compaction:
     packs: int = 0
     removed: int = 0
     waiting: int = 0
-
-    def __add__(self, other: "Compaction") -> "Compaction":
-        return Compaction(
-            packed=self.packed + other.packed,
-            packs=self.packs + other.packs,
-            removed=self.removed + other.removed,
-            waiting=self.waiting + other.waiting,
-        )
 
 
 def compact(store: Store, *, grace: timedelta, now: datetime) -> Compaction:
@@ -59,14 +50,14 @@ def compact(store: Store, *, grace: timedelta, now: datetime) -> Compaction:
     rows = sorted(read_runs(store), key=_along_courses)
     order = {row.run_key: place for place, row in enumerate(rows)}
     notes = read_notes(store)
-    done = Compaction()
+    done = []
     for table in SCHEMAS:
         # Runs that were already expired when the grace period began have no readers any more.
         since = notes.kept_since(table, now.replace(tzinfo=None), grace)
         gone = {row.run_key for row in rows if not is_kept(row, since)}
-        done += _pack_table(store, table, order, gone, now)
-        done += _remove_superseded(store, table, gone, now - grace)
-    return done
+        done.append(_pack_table(store, table, order, gone, now))
+        done.append(_remove_superseded(store, table, gone, now - grace))
+    return Compaction(*map(sum, zip(*done, strict=True)))
 
 
 def _along_courses(row: RunRow) -> tuple[object, ...]:

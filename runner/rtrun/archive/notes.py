@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from fnmatch import fnmatchcase
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, TypeAdapter
 
@@ -85,6 +85,7 @@ class WithdrawNote(NoteHead):
     note: Text
 
 
+_CourseNote = TypeVar("_CourseNote", AcceptNote, KnownNote)
 HeldNote = IgnoreNote | AcceptNote | KnownNote | RetainNote
 Note = Annotated[HeldNote | WithdrawNote, Field(discriminator="kind")]
 PATTERNS = ("machine", "scenario", "kernel_release", "commit", "image", "boot_id", "run")
@@ -97,26 +98,23 @@ class Notes:
 
     held: Mapping[str, HeldNote]
 
-    def ignores(self) -> list[IgnoreNote]:
-        """The notes that exclude runs."""
-        return [note for note in self.held.values() if isinstance(note, IgnoreNote)]
+    def ignoring(self, facts: Callable[[str], str | None], start: datetime | None) -> IgnoreNote | None:
+        """The first note that excludes a run with these facts; None where no note does."""
+        ignores = (note for note in self.held.values() if isinstance(note, IgnoreNote))
+        return next((note for note in ignores if fits_run(note, facts, start)), None)
 
     def accepted(self, machine: str, scenario: str) -> AcceptNote | None:
         """The last note that accepted the level of a course."""
-        fitting = [
-            note
-            for note in self.held.values()
-            if isinstance(note, AcceptNote) and _fits(note.machine, machine) and _fits(note.scenario, scenario)
-        ]
+        fitting = self._fitting(AcceptNote, machine, scenario)
         return max(reversed(fitting), key=lambda note: note.begin, default=None)
 
     def known(self, machine: str, scenario: str | None) -> list[KnownNote]:
         """The notes that call a problem known: of a course, or of a board (`scenario` None)."""
-        return [
-            note
-            for note in self.held.values()
-            if isinstance(note, KnownNote) and _fits(note.machine, machine) and _fits(note.scenario, scenario)
-        ]
+        return self._fitting(KnownNote, machine, scenario)
+
+    def _fitting(self, kind: type[_CourseNote], machine: str, scenario: str | None) -> list[_CourseNote]:
+        of_kind = (note for note in self.held.values() if isinstance(note, kind))
+        return [note for note in of_kind if _fits(note.machine, machine) and _fits(note.scenario, scenario)]
 
     def kept_since(self, table: str, now: datetime, grace: timedelta = timedelta(0)) -> datetime | None:
         """The start time before which a table keeps no runs, and has kept none during `grace` by any note of that time.

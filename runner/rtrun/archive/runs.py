@@ -17,7 +17,7 @@ import numpy as np
 from rtfiles.errors import UsageError
 from rtrun.archive.entries import YEARS
 from rtrun.archive.files import RowRange, check_rows, coded, is_pack, opened, paths_of, places
-from rtrun.archive.notes import IgnoreNote, Notes, fits_run, read_notes
+from rtrun.archive.notes import Notes, read_notes
 from rtrun.archive.store import Store
 from rtrun.targets.inspection.platform import Platform
 
@@ -100,7 +100,7 @@ def read_archive(store: Store, now: datetime | None = None) -> Archive:
     runs: list[RunRow] = []
     ignored: Counter[str] = Counter()
     for row in (row for row in rows if is_kept(row, notes.kept_since("runs", now))):
-        if (note := ignored_by(row, notes)) is not None:
+        if (note := notes.ignoring(partial(getattr, row), row.start_utc)) is not None:
             ignored[note.words] += 1
         else:
             runs.append(row)
@@ -117,11 +117,6 @@ def last_runs(rows: Iterable[RunRow]) -> dict[str, RunRow]:
 def by_time(row: RunRow) -> tuple[datetime, str]:
     """Sorts runs; one without a time comes first, as it tells nothing about today."""
     return row.start_utc or datetime.min, row.run_key
-
-
-def ignored_by(row: RunRow, notes: Notes) -> IgnoreNote | None:
-    """The first note that excludes a run; None where no note does."""
-    return next((note for note in notes.ignores() if fits_run(note, partial(getattr, row), row.start_utc)), None)
 
 
 def is_kept(row: RunRow, since: datetime | None) -> bool:

@@ -38,6 +38,7 @@ _FACTS = (
     *("architecture", "clock_source", "clock_event", "governor", "middleware_version", "setup"),
     *("commit", "image", "packages", "record"),
 )
+_TARGET_FACTS = ("boot_id", "kernel_release", "kernel_version", "governor", "middleware_version", "setup")
 RUNS = pyarrow.schema(
     [
         *((name, pyarrow.string()) for name in (*_TEXTS, *_FACTS)),
@@ -86,36 +87,32 @@ def file_of(table: str, name: str) -> str:
 def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
     """The row of a run in the table of runs."""
     target, seen = record.target, record.in_effect
-    temperature, frequency, load = (
-        values or (None, None) for values in (seen.temperature_mc, seen.frequency_khz, seen.load_1min)
-    )
+    ranges = {
+        f"{name}_{end}{unit}": value
+        for name, unit, values in (
+            ("temperature", "_mc", seen.temperature_mc),
+            ("frequency", "_khz", seen.frequency_khz),
+            ("load_1min", "", seen.load_1min),
+        )
+        for end, value in zip(("min", "max"), values or (None, None), strict=True)
+    }
     telling = telling_parameters(record.circumstances)
     observed, others = stream_words(record.suite, telling)
     row: dict[str, Any] = {
         "run_key": key,
-        "run": record.run,
-        "campaign": record.campaign,
-        "suite": record.suite,
+        **{name: getattr(record, name) for name in ("run", "campaign", "suite", "condition", "variant", "reason")},
         "machine": target.name,
         "scenario": f"{observed or record.suite.removesuffix('_tests')} {format_parameters(others)}".rstrip(),
         "parameters": _json(telling),
-        "condition": record.condition,
         "settings": _json(record.settings),
-        "variant": record.variant,
         "platform": str(record.platform),
         "platform_evidence": record.platform_evidence,
         "status": str(record.status),
-        "reason": record.reason,
-        "boot_id": fact_text(target.boot_id),
+        **{name: fact_text(getattr(target, name)) for name in _TARGET_FACTS},
         "address": target.address,
-        "kernel_release": fact_text(target.kernel_release),
-        "kernel_version": fact_text(target.kernel_version),
         "architecture": fact_text(target.machine),
         "clock_source": fact_text(target.clock.source if target.clock else target.clocksource),
         "clock_event": fact_text(target.clock.event if target.clock else None),
-        "governor": fact_text(target.governor),
-        "middleware_version": fact_text(target.middleware_version),
-        "setup": fact_text(target.setup),
         "commit": origin.commit,
         "image": origin.image,
         "packages": _json(origin.packages),
@@ -126,12 +123,7 @@ def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
         "off_rate": record.is_off_rate,
         "cpus": target.cpus,
         "clock_step_ns": target.clock.step_ns if target.clock else None,
-        "temperature_min_mc": temperature[0],
-        "temperature_max_mc": temperature[1],
-        "frequency_min_khz": frequency[0],
-        "frequency_max_khz": frequency[1],
-        "load_1min_min": load[0],
-        "load_1min_max": load[1],
+        **ranges,
         "busy_percent": seen.busy_percent,
     }
     return pyarrow.Table.from_pylist([row], RUNS)

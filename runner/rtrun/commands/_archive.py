@@ -9,6 +9,7 @@ from rtrun.kinds.lateness import LATENESS
 if TYPE_CHECKING:
     from rtrun.archive.courses import Course
     from rtrun.archive.runs import Archive
+    from rtrun.archive.store import Store
 
 
 def add_archive(parser: argparse.ArgumentParser) -> None:
@@ -20,6 +21,16 @@ def add_deadline(parser: argparse.ArgumentParser) -> None:
     """The deadline, by default that of the thesis, and the series that it applies to."""
     add_of(parser, LATENESS)
     parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
+
+
+def reach(address: str) -> "Store":
+    """Open the archive at an address. Raises as `check_extra` and `open_archive` do."""
+    from rtrun.archive.extra import check_extra
+
+    check_extra()
+    from rtrun.archive.store import open_archive
+
+    return open_archive(address)
 
 
 def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
@@ -39,14 +50,10 @@ def read_with_deadline(args: argparse.Namespace) -> "tuple[Archive, int]":
     Raises as `read_courses` does.
     """
     from rtfiles.output import counted, print_note
-    from rtrun.archive.extra import check_extra
-
-    check_extra()
     from rtrun.archive.runs import read_archive
-    from rtrun.archive.store import open_archive
     from rtrun.plan.question import THESIS
 
-    archive = read_archive(open_archive(args.archive))
+    archive = read_archive(reach(args.archive))
     for words, number in archive.ignored.items():
         print_note(f"rtrun: {counted(number, 'run')} ignored: {words}")
     return archive, args.deadline or THESIS.deadline_ns

@@ -8,6 +8,9 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import yaml
+
+from rtfiles import atomic
 from rtfiles.errors import InfrastructureError, UsageError
 from rtfiles.output import console, print_line, print_note
 from rtrun.execution import campaign_runner
@@ -15,7 +18,8 @@ from rtrun.execution.board import Observer
 from rtrun.execution.board_progress import showing_boards
 from rtrun.execution.campaign_runner import PlanRounds
 from rtrun.execution.farm import Board
-from rtrun.plan.campaign import Variant
+from rtrun.execution.progress import showing
+from rtrun.plan.campaign import Variant, read_campaign
 from rtrun.plan.run import Run
 from rtrun.results.journal import place_of_begun
 from rtrun.results.record import RunStatus
@@ -124,6 +128,17 @@ def measure_on(
         return campaign_runner.run_campaign_on_boards(
             boards, name, runs, results, observer, chosen=chosen, variants=variants, rounds=rounds
         )
+
+
+def measure_made(campaign: Mapping[str, object], target: TargetFile, results: Path) -> dict[str, RunStatus]:
+    """Measure what is not measured yet of a campaign of ours; its file is kept in the results."""
+    file = results / "campaign.yml"
+    atomic.write_text(file, yaml.safe_dump(dict(campaign), sort_keys=False))
+    planned, runs = read_campaign(file)
+    if not campaign_runner.find_unfinished(results, planned.name, runs, target.name):
+        return {}
+    with showing(runs, console()) as shown:
+        return measure_on([target], planned.name, runs, results, shown, variants={})
 
 
 def print_failed(statuses: Mapping[str, RunStatus]) -> int:

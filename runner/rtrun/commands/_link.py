@@ -11,15 +11,18 @@ from rtrun.targets.link import Link
 
 
 @contextlib.contextmanager
-def linked(config: TargetConfig, folder: Path) -> Iterator[Link]:
-    """Yield a link to the target. Relative paths in `config` refer to `folder`; no console log is kept."""
+def linked(config: TargetConfig, folder: Path, *, about: str = "", is_check: bool = False) -> Iterator[Link]:
+    """Yield a link to the target. Relative paths in `config` refer to `folder`; no console log is kept.
+
+    Remarks are `about` this target, where there are several; `is_check` as for `connect`.
+    """
 
     def note(text: str) -> None:
-        print_note(f"rtrun: {text}")
+        print_note(f"rtrun: {about}{text}")
 
     with (
         tempfile.TemporaryDirectory(prefix="rtrun-") as work,
-        connect(config, folder, Path(work) / "console.log", notify=note) as target,
+        connect(config, folder, Path(work) / "console.log", notify=note, is_check=is_check) as target,
         Link(target, note) as link,
     ):
         yield link

@@ -4,10 +4,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rtrun.commands._archive import reach
 from rtrun.commands._arguments import add_json
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from datetime import date
 
     from rtrun.archive.runs import RunRow
@@ -59,20 +60,14 @@ def run(args: argparse.Namespace) -> int:
     offered = list_resources(wanted.coordinator)
     if args.check:
         return _check_all(wanted.coordinator, config, folder, places, offered, as_json=args.json)
-    last = _last_runs(args.archive) if args.archive else {}
+    last = {}
+    if args.archive:
+        from rtrun.archive.runs import last_runs, read_archive
+
+        last = last_runs(read_archive(reach(args.archive)).runs)
     facts = [_facts(place, offered, last.get(place.name)) for place in places]
     _print(facts, with_runs=bool(args.archive), as_json=args.json)
     return 0
-
-
-def _last_runs(address: str) -> "Mapping[str, RunRow]":
-    from rtrun.archive.extra import check_extra
-
-    check_extra()
-    from rtrun.archive.runs import last_runs, read_archive
-    from rtrun.archive.store import open_archive
-
-    return last_runs(read_archive(open_archive(address)).runs)
 
 
 def _facts(place: "LabgridPlace", offered: "Sequence[OfferedResource]", last: "RunRow | None") -> dict[str, Any]:
@@ -86,15 +81,9 @@ def _facts(place: "LabgridPlace", offered: "Sequence[OfferedResource]", last: "R
     serial = [each for each in resources if "SerialPort" in each.kind]
     run = None
     if last is not None:
-        run = {
-            "run": last.run,
-            "scenario": last.scenario,
-            "start_utc": last.start_utc and f"{last.start_utc.isoformat()}Z",
-            "status": last.status,
-            "platform": last.platform,
-            "kernel_release": last.kernel_release,
-            "temperature_max_mc": last.temperature_max_mc,
-        }
+        names = ("run", "scenario", "start_utc", "status", "platform", "kernel_release", "temperature_max_mc")
+        run = {name: getattr(last, name) for name in names}
+        run["start_utc"] = last.start_utc and f"{last.start_utc.isoformat()}Z"
     return {
         "place": place.name,
         "tags": dict(place.tags),
@@ -198,18 +187,12 @@ def _check(
 ) -> tuple[str, str]:
     """Check a place and set its tags; returns the outcome, and details."""
     import getpass
-    import tempfile
 
-    from rtfiles.output import print_note
-    from rtrun.targets.config import connect
+    from rtrun.commands._link import linked
     from rtrun.targets.errors import TargetError, TargetGone
     from rtrun.targets.inspection.health import check_health
     from rtrun.targets.labgrid import health
     from rtrun.targets.labgrid.coordinator import QUARANTINE, LabgridClient, find_place, resources_of
-    from rtrun.targets.link import Link
-
-    def note(text: str) -> None:
-        print_note(f"rtrun: {place.name}: {text}")
 
     kinds = {each.kind for each in resources_of(place, offered)}
     if kinds and "NetworkService" not in kinds:
@@ -217,11 +200,7 @@ def _check(
     one = config.model_copy(update={"place": place.name, "filter": {}})
     failure, text = None, ""
     try:
-        with (
-            tempfile.TemporaryDirectory(prefix="rtrun-") as work,
-            connect(one, folder, Path(work) / "console.log", notify=note, is_check=True) as target,
-            Link(target, note) as link,
-        ):
+        with linked(one, folder, about=f"{place.name}: ", is_check=True) as link:
             text = check_health(link)
     except TargetGone as error:
         return "not checked", str(error)

@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rtrun.commands._archive import reach
 from rtrun.commands._arguments import add_json, add_results, add_verbose
 from rtrun.commands._question import add_question, ask, probability_argument, question, time_argument
 
@@ -123,11 +124,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _against(args: argparse.Namespace) -> "Gate":
     from rtfiles.errors import UsageError
-    from rtrun.archive.extra import check_extra
-
-    check_extra()
-    from rtrun.archive.against import gate_against
-    from rtrun.archive.store import open_archive
     from rtrun.targets.inspection.platform import Platform
 
     limits = (args.max_page_faults, args.max_allocations)
@@ -137,10 +133,13 @@ def _against(args: argparse.Namespace) -> "Gate":
             "--probability, --confidence, --bursts, --tolerate, --assume-independent, --max-page-faults, "
             "--max-allocations: go without --against"
         )
+    archive = reach(args.against)
+    from rtrun.archive.against import gate_against
+
     asked = question(args, args.results)
     return gate_against(
         args.results,
-        open_archive(args.against),
+        archive,
         deadline_ns=asked.deadline_ns,
         of=asked.of,
         margin_ns=args.margin,

@@ -57,16 +57,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure what is not measured yet, and print the table. 0: measured, 3: a run or the target failed."""
-    import yaml
-
-    from rtfiles import atomic
     from rtfiles.errors import UsageError
     from rtfiles.output import beside_the_answer, console, print_json, print_line
-    from rtrun.commands._boards import TargetFile, measure_on
-    from rtrun.execution import campaign_runner, progress
+    from rtrun.commands._boards import TargetFile, measure_made
     from rtrun.judgement.influence import influences
     from rtrun.judgement.study import study
-    from rtrun.plan.campaign import read_campaign
     from rtrun.plan.question import Question
     from rtrun.plan.topology.reading import read_topology
     from rtrun.report import influence
@@ -81,14 +76,9 @@ def run(args: argparse.Namespace) -> int:
     results: Path = args.results or Path("results") / f"influence-{topology.name}"
     target = TargetFile(config=read_target(args.target), folder=args.target.parent)
     run_directory.make_results(results)
-    campaign_file = results / "campaign.yml"
-    atomic.write_text(campaign_file, yaml.safe_dump(_campaign(args, topology.name), sort_keys=False))
-    planned, runs = read_campaign(campaign_file)
-    bad: list[str] = []
-    if campaign_runner.find_unfinished(results, planned.name, runs, target.name):
-        with beside_the_answer(args.json), progress.showing(runs, console()) as shown:
-            statuses = measure_on([target], planned.name, runs, results, shown, variants={})
-        bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
+    with beside_the_answer(args.json):
+        statuses = measure_made(_campaign(args, topology.name), target, results)
+    bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
     measured: Study = study(results, Question(), bounds=False)
     found = influence.table(influences(measured), measured.question.confidence)
     if args.json:

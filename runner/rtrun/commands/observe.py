@@ -1,17 +1,19 @@
 """``rtrun observe``: measure programs that run already, unchanged."""
 
 import argparse
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rtrun.commands._arguments import add_target
 from rtrun.commands._question import argument, time_argument
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rtrun.execution.observation import Watched
     from rtrun.execution.ros_graph import RosGraph
     from rtrun.plan.campaign import Campaign
-    from rtrun.plan.observation import StreamDeadline
     from rtrun.plan.run import Run
     from rtrun.targets.config import TargetConfig
 
@@ -32,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="say what runs there and can be measured; measure nothing")
     parser.add_argument(
         "--deadline",
-        type=argument(_read_deadline),
+        type=_reader("read_stream_deadline"),
         action="append",
         default=[],
         metavar="STREAM=TIME",
@@ -40,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--path",
-        type=argument(_read_path),
+        type=_reader("read_path"),
         action="append",
         default=[],
         metavar="/A,/B",
@@ -66,16 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _read_deadline(text: str) -> "StreamDeadline":
-    from rtrun.plan.observation import read_stream_deadline
-
-    return read_stream_deadline(text)
-
-
-def _read_path(text: str) -> tuple[str, ...]:
-    from rtrun.plan.observation import read_path
-
-    return read_path(text)
+def _reader(name: str) -> "Callable[[str], Any]":
+    """A reader of `rtrun.plan.observation`, which is loaded when an option needs it."""
+    return argument(lambda text: getattr(import_module("rtrun.plan.observation"), name)(text))
 
 
 def _read_trace(text: str) -> str:

@@ -50,12 +50,10 @@ def run(args: argparse.Namespace) -> int:
     import yaml
 
     from rtfiles import atomic
-    from rtfiles.output import console, print_status
-    from rtrun.commands._boards import TargetFile, measure_on, print_failed
+    from rtfiles.output import print_status
+    from rtrun.commands._boards import TargetFile, measure_made, print_failed
     from rtrun.commands._link import linked
-    from rtrun.execution import progress
     from rtrun.judgement.study import study
-    from rtrun.plan.campaign import read_campaign
     from rtrun.plan.question import Question
     from rtrun.results import run_directory
     from rtrun.targets.config import parse_target, read_target
@@ -73,12 +71,7 @@ def run(args: argparse.Namespace) -> int:
     file = results / "target.yml" if data else file
     if data:
         atomic.write_text(file, yaml.safe_dump(data, sort_keys=False))
-    atomic.write_text(results / "campaign.yml", yaml.safe_dump(campaign, sort_keys=False))
-    planned, runs = read_campaign(results / "campaign.yml")
-    with progress.showing(runs, console()) as shown:
-        statuses = measure_on(
-            [TargetFile(config=config, folder=file.parent)], planned.name, runs, results, shown, variants={}
-        )
+    statuses = measure_made(campaign, TargetFile(config=config, folder=file.parent), results)
     asked = Question(deadline_ns=args.deadline, probability=ASKED[0], is_deadline_stated=True)
     _print(study(results, asked, bounds=False), findings, results, file)
     return print_failed(statuses)

@@ -1,5 +1,6 @@
 """What other nodes add to the paths of a topology, as a table."""
 
+import statistics
 from collections.abc import Sequence
 
 from rtfiles.output import counted
@@ -52,9 +53,7 @@ def _alone(group: Group, figure: str) -> str:
 
 
 def _middle(group: Group, figure: str, late_ns: int) -> float:
-    values = sorted(figure_of(run, figure, late_above_ns=late_ns) for run in group.blocks)
-    half = len(values) // 2
-    return values[half] if len(values) % 2 else (values[half - 1] + values[half]) / 2
+    return statistics.median(figure_of(run, figure, late_above_ns=late_ns) for run in group.blocks)
 
 
 def _cells(one: Influence) -> tuple[str, ...]:

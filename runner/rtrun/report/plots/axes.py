@@ -1,7 +1,7 @@
 """The axes of plots: their division, and the labels at their places."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Literal
@@ -107,11 +107,8 @@ def _roundest(low: float, value: float, high: float) -> float:
         return 0.0
     for digits in range(1, 16):
         unit = 10.0 ** (math.floor(math.log10(max(abs(low), abs(high)))) + 1 - digits)
-        inside = [k * unit for k in _around(value / unit) if low <= k * unit <= high]
+        below = math.floor(value / unit)
+        inside = [k * unit for k in (below, below + 1) if low <= k * unit <= high]
         if inside:
             return min(inside, key=lambda one: abs(one - value))
     return value
-
-
-def _around(number: float) -> Sequence[int]:
-    return range(math.floor(number), math.floor(number) + 2)

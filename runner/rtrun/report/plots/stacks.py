@@ -1,5 +1,6 @@
 """The picture of layers put upon one another: the mean of the lowest one, then what each layer above adds to it."""
 
+import itertools
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -53,10 +54,7 @@ def stacked(chains: Sequence[Sequence[LayerBar]]) -> Stacks | None:
 
 def _begins_us(chain: Sequence[LayerBar]) -> list[float]:
     """Where each layer of a bar begins, and where the last one ends."""
-    ends = [0.0]
-    for bar in chain:
-        ends.append(ends[-1] + bar.us)
-    return ends
+    return [*itertools.accumulate((bar.us for bar in chain), initial=0.0)]
 
 
 def _end_us(chain: Sequence[LayerBar]) -> float:
