@@ -9,10 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import get_args
 
-from rtfiles.quantities import time
 from rtrun.analysis.comparison.history import LEAST_BOOTS, Against, compare_figure, compare_misses, level_of_test
 from rtrun.archive.adding import add_results, find_runs
-from rtrun.archive.courses import Course, Figure, courses
+from rtrun.archive.courses import Course, Figure, courses, figure_text
 from rtrun.archive.notes import AcceptNote
 from rtrun.archive.runs import RunRow, read_archive
 from rtrun.archive.store import Store, make_archive
@@ -158,7 +157,7 @@ def _compare(figure: Figure, build: Course, history: Course, margin_ns: float | 
 
 def _words(figure: Figure, against: Against) -> str:
     values = (against.value, against.reference, against.limit, against.noticed)
-    texts = [f"{value:.2g}" if figure == "P(miss)" else f"{time(value)}" for value in values]
+    texts = [figure_text(figure, value) for value in values]
     return (
         f"{figure} {texts[0]}, best level of {against.boots} boots {texts[1]}, limit {texts[2]}, "
         f"noticed nine times in ten from {texts[3]} on"

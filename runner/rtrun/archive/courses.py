@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from rtfiles.errors import UsageError
+from rtfiles.quantities import time
 from rtfiles.untrusted import parse_json
 from rtrun.analysis.order.change_points import Floats, means_of_units
 from rtrun.archive.notes import AcceptNote, KnownNote
@@ -158,6 +159,11 @@ def _run(point: Point, row: RunRow, origin: str) -> ArchivedRun:
         facts=facts | {f"package {name}": str(version) for name, version in packages.items()},
         readings={name: number for name in _NUMBERS if (number := getattr(row, name)) is not None},
     )
+
+
+def figure_text(figure: Figure, value: float) -> str:
+    """A figure for people; times are in ns."""
+    return f"{value:.2g}" if figure == "P(miss)" else time(value)
 
 
 def facts_of(runs: Iterable[ArchivedRun], name: str) -> list[str]:

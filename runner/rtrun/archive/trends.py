@@ -6,10 +6,10 @@ from datetime import datetime
 from itertools import groupby
 from typing import Any, get_args
 
-from rtfiles.quantities import signed, time
+from rtfiles.quantities import signed
 from rtrun.analysis.comparison.effects import examine_effect
 from rtrun.analysis.order.change_points import ChangePoint, find_changes
-from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, readings_of
+from rtrun.archive.courses import ArchivedRun, Course, Figure, facts_of, figure_text, readings_of
 from rtrun.archive.notes import AcceptNote, KnownNote
 
 NOTHING_KNOWN = "nothing that the archive knows"
@@ -134,17 +134,13 @@ def _changed_readings(before: Sequence[Sequence[ArchivedRun]], after: Sequence[S
 def as_text(trend: Trend, *, confidence: float) -> list[str]:
     """A change in a few lines: by how much, when, and what else changed then."""
     change = trend.change
-    if trend.figure == "P(miss)":
-        amounts = [f"{value:.2g}" for value in (change.before, change.after)]
-        interval = f"{change.low:+.2g} to {change.high:+.2g}"
-    else:
-        amounts = [time(value) for value in (change.before, change.after)]
-        interval = f"{signed(change.low)} to {signed(change.high)}"
+    amounts = [figure_text(trend.figure, value) for value in (change.before, change.after)]
+    low, high = (f"{value:+.2g}" if trend.figure == "P(miss)" else signed(value) for value in (change.low, change.high))
     when = f"between {shown_time(trend.last_before)} and {shown_time(trend.first_after)}"
     if trend.earliest != trend.latest:
         when += f"; the new level may have begun from {shown_time(trend.earliest)} to {shown_time(trend.latest)}"
     return [
-        f"{trend.figure} {amounts[0]} -> {amounts[1]}, {100 * confidence:g} % CI of the shift {interval}",
+        f"{trend.figure} {amounts[0]} -> {amounts[1]}, {100 * confidence:g} % CI of the shift {low} to {high}",
         f"when: {when}",
         f"changed there: {'; '.join(trend.circumstances) or NOTHING_KNOWN}",
         *([f"accepted: {trend.accepted.words}"] if trend.accepted else []),
@@ -165,10 +161,7 @@ def as_data(trend: Trend) -> dict[str, Any]:
         for name in ("last_before", "first_after", "earliest", "latest")
     }
     return {
-        "scenario": course.scenario,
-        "parameters": course.parameters,
-        "machine": course.machine,
-        "platform": course.platform,
+        **{name: getattr(course, name) for name in ("scenario", "parameters", "machine", "platform")},
         "figure": trend.figure,
         "worse": trend.is_worse,
         "accepted": trend.accepted and trend.accepted.words,

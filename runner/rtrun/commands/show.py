@@ -108,15 +108,12 @@ def _run_data(run: "ClosedRun") -> dict[str, Any]:
 def _result_data(result: "Result") -> dict[str, Any]:
     """What a series is, then its figures in microseconds, as docs/formats.md describes it."""
     from rtrun.analysis.figures import PERCENTILE_METHOD
-    from rtrun.report.quantities import lost, times_ns, us
+    from rtrun.report.quantities import identity, lost, times_ns, us
     from rtrun.report.terminal import remarks_of
 
     header, figures = result.header, result.figures
     return {
-        "suite": header.suite,
-        "output": header.output,
-        "series": header.series,
-        "parameters": header.parameters,
+        **identity(header),
         "n": figures.n,
         # docs/formats.md names p99.9 without its point here.
         **{f"{name.replace('.', '')}_us": us(times_ns(figures)[name]) for name in _TIMES},

@@ -15,7 +15,7 @@ from rtrun.judgement.gate import Gate
 from rtrun.judgement.study import Study
 from rtrun.report.contents import Contents
 from rtrun.report.how import explanations
-from rtrun.report.quantities import as_data, lost, times_ns, us
+from rtrun.report.quantities import as_data, identity, lost, times_ns, us
 from rtrun.report.run_facts import fingerprint
 from rtrun.report.tables import Table
 
@@ -74,11 +74,7 @@ def as_json(study: Study) -> str:
         "input_sha256": fingerprint(study),
         "groups": [
             {
-                "label": group.label,
-                "suite": group.suite,
-                "series": group.series,
-                "target": group.target,
-                "parameters": group.parameters,
+                **{name: getattr(group, name) for name in ("label", "suite", "series", "target", "parameters")},
                 "runs": list(group.runs),
                 "n": group.n,
                 "verdict": as_data(group.verdict),
@@ -97,10 +93,7 @@ def as_json(study: Study) -> str:
 def _series(one: Digest) -> dict[str, Any]:
     return {
         "run": one.run,
-        "suite": one.header.suite,
-        "output": one.header.output,
-        "series": one.header.series,
-        "parameters": one.header.parameters,
+        **identity(one.header),
         "platform": one.header.platform,
         "figures": as_data(one.figures),
         "startup": as_data(one.header.startup),

@@ -15,6 +15,11 @@ LOST = {"missing": "missing", "out_of_order": "out of order", "duplicate": "agai
 """What is in no figure: the words of tables, by the names of files."""
 
 
+def identity(header: Header) -> dict[str, Any]:
+    """What a series is of, by the names of files."""
+    return {name: getattr(header, name) for name in ("suite", "output", "series", "parameters")}
+
+
 def times_ns(figures: Figures) -> dict[str, float | None]:
     """Every time of a series by its word, in the order of files; None where it is not known."""
     percentiles_ns = {f"p{percent:g}": figures.percentiles_ns.get(percent) for percent in PERCENTILES}
