@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         claims = [dataclasses.asdict(claim) for claim in examined]
         print_json({"schema": 2, "platform": analysed.platform, "claims": claims, "published": published.as_data()})
         return 0
-    print_banner(analysed.platform)
+    print_banner(analysed.platform, analysed.preempt_rt)
     for claim in examined:
         result = claim.result
         print_styled(result.finding, f"{' ' * (9 - len(result.finding))}  {claim.id} ({claim.section}): {claim.text}")

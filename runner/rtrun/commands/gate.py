@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
             goal=goal.question if goal else None,
         )
         if not args.json:
-            print_banner(analysed.platform)
+            print_banner(analysed.platform, analysed.preempt_rt)
             asked = analysed.asked_in_full
     if args.json:
         print_json({"schema": 1, "passed": judged.passed, "cases": [asdict(case) for case in judged.cases]})

@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"schema": 1, "platform": str(measured.platform), found.id: found.as_data()})
     else:
-        print_banner(measured.platform)
+        print_banner(measured.platform, measured.preempt_rt)
         print_line(f"{found.title}: {found.outcome}.")
         console().print(found)
         for line in (*found.notes, *bad):

@@ -154,7 +154,7 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     from rtrun.report.terminal import print_banner
     from rtrun.targets.inspection import rt_readiness
 
-    print_banner(study.platform)
+    print_banner(study.platform, study.preempt_rt)
     made = scenarios(study)
     print_line(sentences.headline(study, made))
     if made:

@@ -47,7 +47,7 @@ def print_answers(study: "Study") -> None:
     from rtrun.report.standings import question, reasons, startups, table
     from rtrun.report.terminal import print_banner
 
-    print_banner(study.platform)
+    print_banner(study.platform, study.preempt_rt)
     print_line(question(study))
     every = standings(study)
     groups = [each for each in every if each.has_deadline]

@@ -7,7 +7,7 @@ from rtfiles.output import counted
 from rtrun.analysis.deadline import Answer
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
-from rtrun.judgement.verdicts import hidden_in_words, sentences, severity, startup_in_words, verdict_line
+from rtrun.judgement.verdicts import bound_text, hidden_in_words, sentences, severity, startup_in_words, verdict_line
 from rtrun.plan.question import Question, weaker
 from rtrun.plan.suites import suites
 from rtrun.plan.topology.planning import SUITE as TOPOLOGY
@@ -30,9 +30,8 @@ class Case:
     n: int | None = None
     misses: int | None = None
     worst_ns: int | None = None
-    lower: float | None = None
-    upper: float | None = None
-    """The bounds of P(miss)."""
+    bound: str = "-"
+    """The bound of P(miss) that decides."""
     refused: str | None = None
     """Why there is no answer: `text` begins with it."""
     reason: str | None = None
@@ -175,8 +174,7 @@ def _case(group: Group, study: Study, passing: Container[str], platform: Platfor
         n=verdict.n if verdict else group.n,
         misses=verdict.misses if verdict else None,
         worst_ns=verdict.worst_ns if verdict else None,
-        lower=verdict.lower if verdict and not verdict.refused else None,
-        upper=verdict.upper if verdict and not verdict.refused else None,
+        bound=bound_text(verdict),
         refused=verdict.refused if verdict else None,
         reason=reason,
         not_accepted=not_accepted,

@@ -88,6 +88,11 @@ class Study:
         return next((one.header.platform for one in (*self.digests, *self.others)), Platform.HARDWARE)
 
     @property
+    def preempt_rt(self) -> list[bool]:
+        """For each run, whether its kernel was PREEMPT_RT."""
+        return [record.preempt_rt for record in self.records]
+
+    @property
     def asked(self) -> Question:
         """The question; it names the series that its groups are judged by, where that is the same for all."""
         of = {group.of for group in self.groups}

@@ -24,18 +24,18 @@ WORST_FIRST = (
 )
 
 
-_YES_OR_NO = {
-    Answer.PROVEN: "yes",
-    Answer.IF_INDEPENDENT: "yes, unless late values come in bursts",
-    Answer.NEEDS_MORE: "not known yet",
-    Answer.REFUTED: "no",
-    Answer.NO_STATEMENT: "no statement",
+_MET = {
+    Answer.REFUTED: "not met in {}",
+    Answer.PROVEN: "met in {}",
+    Answer.IF_INDEPENDENT: "met in {} unless late values come in bursts",
+    Answer.NEEDS_MORE: "not known yet in {}",
+    Answer.NO_STATEMENT: "no statement in {}",
 }
 
 
 def counts_in_words(answers: Sequence[str]) -> str:
-    """How many answers of each kind there are; those without a deadline do not count."""
-    return "; ".join(f"{words}: {answers.count(each)}" for each, words in _YES_OR_NO.items() if each in answers)
+    """In how many scenarios a deadline is met; those without a deadline do not count."""
+    return ", ".join(words.format(answers.count(each)) for each, words in _MET.items() if each in answers)
 
 
 def severity(answer: str, worst_ns: int | None) -> tuple[int, float]:
@@ -158,9 +158,16 @@ def _episodes(verdict: Verdict) -> str:
     return f"at most {grouped(most) if most >= 100 else f'{most:.2g}'} episodes of {what} an hour ({seen})"
 
 
-def bound_text(answer: str, lower: float, upper: float) -> str:
-    """The bound of P(miss) that decides, for a table."""
-    return f">= {lower:.2g}" if answer == Answer.REFUTED else f"<= {upper:.2g}"
+def bound_text(verdict: Verdict | None) -> str:
+    """The bound of P(miss) that decides, for a table; a dash where none can be given."""
+    if verdict is None or verdict.refused or (verdict.answer == Answer.NEEDS_MORE and _has_no_rate(verdict)):
+        return "-"
+    return f">= {verdict.lower:.2g}" if verdict.answer == Answer.REFUTED else f"<= {verdict.upper:.2g}"
+
+
+def _has_no_rate(verdict: Verdict) -> bool:
+    """Whether what was measured has no one rate of misses, or what it hides is not known."""
+    return verdict.change is not None or bool(hidden_in_words(verdict))
 
 
 def _between(verdict: Verdict) -> str:
@@ -171,7 +178,13 @@ def _between(verdict: Verdict) -> str:
 
 def scope_in_short(verdict: Verdict) -> str:
     """What a proof holds for, in a few words."""
-    return f"{boots_in_words(verdict)}, for {_bursts_in_words(verdict)}"
+    unlike = verdict.unlike_share
+    share = f" (up to {percent(unlike)} of all boots may behave differently)" if unlike and verdict.boots != 1 else ""
+    if verdict.answer == Answer.IF_INDEPENDENT:
+        return f"{boots_in_words(verdict)}{share}, unless late values come in bursts"
+    whole = math.floor(verdict.longest_burst)
+    bursts = f"even if late values come {grouped(whole)} in a row" if whole > 1 else "if late values come singly"
+    return f"{boots_in_words(verdict)}{share}, {bursts}"
 
 
 def boots_in_words(verdict: Verdict) -> str:
@@ -182,12 +195,7 @@ def boots_in_words(verdict: Verdict) -> str:
         return "on boots that are not known"
     if verdict.boots == 1:
         return "in this boot"
-    return f"on {verdict.boots} boots (up to {percent(verdict.unlike_share)} of boots may behave differently)"
-
-
-def _bursts_in_words(verdict: Verdict) -> str:
-    whole = math.floor(verdict.longest_burst)
-    return f"bursts of {grouped(whole)}" if whole > 1 else "single misses"
+    return f"on boots like the {verdict.boots} that were measured"
 
 
 def held_for(verdict: Verdict) -> str:
@@ -289,7 +297,7 @@ def _more(verdict: Verdict) -> list[str]:
     if verdict.bursts.length > 1:
         parts.append(f"has to cover {_covered(verdict) or verdict.question.covered}")
     if verdict.further:
-        chance = "" if verdict.misses else f" (chance of that: {100 * verdict.further_chance:.0f} %)"
+        chance = "" if verdict.misses else f" (chance that none comes: {100 * verdict.further_chance:.0f} %)"
         parts.append(
             f"{amount(verdict, verdict.further)} prove it without {'another' if verdict.misses else 'a'} miss{chance}"
             + (", if dependence stays as seen" if verdict.design_effect > 1.005 else "")

@@ -59,7 +59,7 @@ def contents(study: Study) -> Contents:
     measured = [one for one in measured if one.group.question] or measured
     return Contents(
         title=printable(_title(study, made)),
-        banner=banner_of(study.platform, preempt_rt=[one.preempt_rt for one in study.records]) or None,
+        banner=banner_of(study.platform, preempt_rt=study.preempt_rt) or None,
         answer=_answer(study, deciding),
         worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
         missing=max((one for one in made if one.missing), key=lambda one: one.missing_share, default=None),
@@ -94,7 +94,7 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
     """The answer to the question in one sentence."""
     counts = Counter(one.answer for one in made)
     total = len(made) - counts[Answer.NO_DEADLINE]
-    others = counts_in_words([one.answer for one in made if one.answer != Answer.REFUTED])
+    of_total = f" in {{}} of {total} scenarios" if total > 1 else ""
     first_ns, *others_ns = study.deadlines_ns
     deadline = "its deadline" if others_ns else f"the deadline of {time(first_ns)}"
     hidden = f"; {len(study.left_out)} not analysed, see below" if study.left_out else ""
@@ -104,8 +104,8 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
     if not made:
         return f"Nothing was measured that {deadline} could be held against{hidden}."
     if counts[Answer.REFUTED]:
-        refuted = _all(total) if counts[Answer.REFUTED] == total else f"{counts[Answer.REFUTED]} of {total} scenarios"
-        return f"{deadline.capitalize()} is not met in {refuted}{'; ' if others else ''}{others}{asked}"
+        failed = of_total.format(counts[Answer.REFUTED]) + _others(made, Answer.REFUTED)
+        return f"{deadline.capitalize()} is not met{failed}{asked}"
     if counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
         condition = ", if measurements are independent" if counts[Answer.IF_INDEPENDENT] else ""
         return (
@@ -115,7 +115,14 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
     if counts[Answer.NO_STATEMENT] == total:
         reasons = dict.fromkeys(one.group.verdict.refused or "" for one in made if one.group.verdict)
         return f"No statement about {deadline} in any scenario: {'; '.join(reasons)}{hidden}."
-    return f"It is not decided whether {deadline} is met in {_all(total)}{f': {others}' if total > 1 else ''}{asked}"
+    open_ = of_total.format(counts[Answer.NEEDS_MORE]) + _others(made, Answer.NEEDS_MORE)
+    return f"It is not decided whether {deadline} is met{open_}{asked}"
+
+
+def _others(made: Sequence[Scenario], answer: Answer) -> str:
+    """In how many scenarios there are other answers than this one."""
+    words = counts_in_words([one.answer for one in made if one.answer != answer])
+    return f", {words}" if words else ""
 
 
 def _for_which_boots(made: Sequence[Scenario]) -> str:
@@ -137,24 +144,28 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
         advice = next(causes.remedies(culprits), "")
         return f"{causes.answer(culprits)}{f'. {advice}' if advice else ''}"
     open_ = [verdict for one in made if (verdict := one.group.verdict) and verdict.answer is Answer.NEEDS_MORE]
-    if Answer.REFUTED in answers or any(_is_likely_refuted(verdict) for verdict in open_):
+    bad = [verdict for one in made if (verdict := one.group.verdict) and _is_likely_refuted(verdict)]
+    if bad and all(verdict.absent > verdict.late for verdict in bad):
+        return "find out where values are lost: queues and their depth, quality of service, the network, a busy thread"
+    if bad:
         return (
             "rtrun check-rt --target TARGET.yml lists what stands in the way of real time on the target; "
-            "the plots below show when the late values came"
+            "the plots of the report show when the late values came"
         )
     if any(verdict.change for verdict in open_):
         return MEASURE_AGAIN
     wanted = [(count, verdict) for verdict in open_ if (count := _further(verdict))]
     if wanted:
         count, verdict = max(wanted, key=lambda each: each[0])
-        return f"measure more: {amount(verdict, count, 'measurements')} a scenario are likely to decide it"
+        decides = "are likely to decide it" if verdict.misses else "without a late one decide it"
+        return f"measure more: {amount(verdict, count, 'measurements')} a scenario {decides}"
     if answers and answers <= {Answer.NO_STATEMENT}:
         return "measure where the time is real, on the board itself: rtrun run CAMPAIGN.yml --target BOARD.yml"
     if answers == {Answer.PROVEN} and study.left_out:
         return "find out why not all was analysed: rtrun gate RESULTS fails because of that"
     if answers == {Answer.PROVEN}:
         option = " --platform virtual" if study.platform is Platform.VIRTUAL else ""
-        gate = f"rtrun gate RESULTS{option} fails as soon as the answer is another one"
+        gate = f"rtrun gate RESULTS{option} fails as soon as this no longer holds"
         boots = min(one.group.verdict.boots_known for one in made if one.group.verdict)
         more = f"measure on {ENOUGH_BOOTS} boots or more, as boots differ; " if boots < ENOUGH_BOOTS else ""
         return f"{more}then keep it so: {gate}" if more else f"keep it so: {gate}"
@@ -165,7 +176,7 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
 
 def _is_likely_refuted(verdict: Verdict) -> bool:
     likely = verdict.further_likely if verdict.change is None else None
-    return likely is not None and likely[0] is Answer.REFUTED
+    return verdict.answer is Answer.REFUTED or (likely is not None and likely[0] is Answer.REFUTED)
 
 
 def _further(verdict: Verdict) -> int | None:

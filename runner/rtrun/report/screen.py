@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from rtfiles.output import console, print_line, printable
 from rtfiles.quantities import grouped, time
 from rtrun.judgement.gate import Case
-from rtrun.judgement.verdicts import bound_text
 from rtrun.report.tables import STYLES, Table
 
 
@@ -54,7 +53,7 @@ def _table(cases: Sequence[Case]) -> Table:
             case.answer,
             case.short or case.about,
             "-" if case.n is None else f"{'-' if case.misses is None else grouped(case.misses)} of {grouped(case.n)}",
-            "-" if case.lower is None or case.upper is None else bound_text(case.answer, case.lower, case.upper),
+            case.bound,
             time(case.worst_ns),
         )
         for case in cases

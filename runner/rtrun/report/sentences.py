@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rtfiles.output import counted, printable
-from rtfiles.quantities import at_least_in, at_most_in, grouped, time
+from rtfiles.quantities import at_least_in, at_most_in, duration, grouped, time
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import (
-    amount,
     counts_in_words,
     hidden_in_words,
     is_short_of_bursts,
@@ -55,7 +54,11 @@ def lines(study: Study, made: Sequence[Scenario]) -> "Table":
     # The headline has a reason that applies to all.
     said = f", {refusals.pop()}" if len(made) > 1 and len(refusals) == 1 else ""
     for one in made:
-        grid.add_row(printable(study.short_name(one.group)), printable(sentence(one).removesuffix(said)))
+        text = sentence(one)
+        if one.group.key in study.members and one.answer == Answer.NEEDS_MORE:
+            # All boards together are decided, or say what is missing.
+            text = text.partition(";")[0]
+        grid.add_row(printable(study.short_name(one.group)), printable(text.removesuffix(said)))
     return grid
 
 
@@ -89,7 +92,7 @@ def _follows(verdict: Verdict) -> list[str]:
         return [f"no statement, {verdict.refused}", *startup]
     match verdict.answer:
         case Answer.REFUTED:
-            return [f"at least {at_least_in(verdict.lower)} are {late}", *startup]
+            return [f"too many, at least {at_least_in(verdict.lower)} are {late}", *startup]
         case Answer.PROVEN:
             return [most, *startup]
         case Answer.IF_INDEPENDENT:
@@ -104,28 +107,31 @@ def _open(verdict: Verdict, most: str) -> list[str]:
         return [f"no rate can be given: {hidden}"]
     if verdict.change is not None:
         return [f"no rate can be given: {verdict.change.what} ({verdict.change.text})"]
-    parts, decide = [most], "decide it"
+    likely = verdict.further_likely
+    if likely is not None and likely[0] is Answer.REFUTED:
+        return [f"probably too many; {_measuring(verdict, likely[1])} would prove that"]
+    parts, prove = [most], "prove it"
     if is_short_of_bursts(verdict):
-        parts = [f"{most}, as long as {_in_a_row(int(verdict.longest_burst))}"]
-        decide = f"cover {verdict.bursts.length} in a row"
+        longest = int(verdict.longest_burst)
+        parts = [f"{most} if {f'no more than {longest} come in a row' if longest > 1 else 'they come singly'}"]
+        prove = f"prove it for {verdict.bursts.length} in a row"
     if verdict.boots_missing:
         parts.append(f"{counted(verdict.boots_missing, 'more boot')} missing")
     if not verdict.misses and verdict.further:
-        parts.append(f"{amount(verdict, verdict.further, 'more')} without a late one {decide}")
-    elif verdict.further_likely is None:
+        parts.append(f"{_measuring(verdict, verdict.further)} without a late one {prove}")
+    elif likely is None:
         parts.append("at this rate, no number of measurements is likely to decide it")
-    elif verdict.further_likely[1]:
-        answer, count = verdict.further_likely
-        more = f"about {amount(verdict, count, 'more')}"
-        is_worse = answer is Answer.REFUTED
-        parts.append(f"at this rate too many are late, {more} prove that" if is_worse else f"{more} {decide}")
+    elif likely[1]:
+        parts.append(f"{_measuring(verdict, likely[1])} probably {prove}")
     return parts
 
 
-def _in_a_row(count: int) -> str:
-    return f"no more than {count} come in a row" if count > 1 else "they come singly"
+def _measuring(verdict: Verdict, count: int) -> str:
+    hours = verdict.hours(count)
+    return f"{grouped(count)} more values" if hours is None else f"{duration(hours * 3600)} more of measuring"
 
 
 def answers_in_words(answers: Sequence[str], probability: str) -> str:
-    """How many tests meet a question: "Asked for at most 1 in 100 late? yes: 3; no: 1"."""
-    return f"Asked for at most {probability} late? {counts_in_words(answers)}"
+    """How many tests meet a question: "At most 1 in 100 late? Met in 3, not met in 1."."""
+    met = counts_in_words(answers)
+    return f"At most {probability} late? {met[:1].upper()}{met[1:]}."

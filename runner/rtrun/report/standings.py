@@ -27,7 +27,7 @@ from rtrun.report.tables import Table
 def question(study: Study) -> str:
     """The question that is answered."""
     boots = counted(study.question.boots, "boot")
-    return f"asked: {study.asked_in_full}, on at least {boots}, covering {study.question.covered}"
+    return f"asked: {study.asked_in_full}, on at least {boots}, with {study.question.covered}"
 
 
 def table(standings: Sequence[Standing]) -> Table:
@@ -37,7 +37,7 @@ def table(standings: Sequence[Standing]) -> Table:
         (
             _name(standing),
             str(standing.answer),
-            "-" if verdict is None or verdict.refused else bound_text(verdict.answer, verdict.lower, verdict.upper),
+            bound_text(verdict),
             f"{grouped(verdict.misses)} of {grouped(verdict.n)}" if verdict else "-",
             "-" if verdict is None or verdict.boots is None else str(verdict.boots),
             duration(standing.measured_s),
@@ -119,7 +119,8 @@ def missing(standing: Standing) -> str:
     if is_short_of_bursts(verdict):
         parts.append(f"for {held_for(verdict)} it already holds")
     if not verdict.misses and verdict.further:
-        chance = f" (chance of that: {100 * verdict.further_chance:.0f} %)" if verdict.further_chance < 0.995 else ""
+        percents = f"{100 * verdict.further_chance:.0f} %"
+        chance = f" (chance that none comes: {percents})" if verdict.further_chance < 0.995 else ""
         parts.append(f"{amount(verdict, verdict.further, 'more')} without a miss{chance}")
     elif verdict.further_likely is None:
         parts.append("at the rate seen, no number is likely to decide it")

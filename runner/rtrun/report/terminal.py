@@ -105,9 +105,9 @@ def banner_of(platform: Platform, *, preempt_rt: Iterable[bool] = ()) -> str:
     return "; ".join(filter(None, [BANNERS.get(platform), of_kernels]))
 
 
-def print_banner(platform: Platform) -> None:
-    """Print a platform's banner, if it has one."""
-    if words := banner_of(platform):
+def print_banner(platform: Platform, preempt_rt: Iterable[bool] = ()) -> None:
+    """Print the warning about a platform and its kernels, if there is one."""
+    if words := banner_of(platform, preempt_rt=preempt_rt):
         print_line(words)
 
 

@@ -169,13 +169,13 @@ def test_the_longest_burst_that_a_proof_holds_for() -> None:
 def test_misses_that_gather_at_the_end_prove_nothing() -> None:
     judged = verdict(count_misses(with_misses(50_000, 48_000, 48_700, 49_300, 49_999), DEADLINE))
     assert judged.upper < 1e-3 and judged.answer == Answer.NEEDS_MORE
-    assert judged.change is not None and "4 of 4 misses lie in the last 4 %" in judged.change.text
+    assert judged.change is not None and "4 of the 4 misses lie in the last 4 %" in judged.change.text
 
 
 def test_values_that_rise_prove_nothing() -> None:
     values = with_misses(50_000) + np.linspace(0, 140_000, 50_000).astype(np.int64)
     judged = verdict(count_misses(values, DEADLINE))
-    assert judged.answer == Answer.NEEDS_MORE and judged.change is not None and "high values" in judged.change.text
+    assert judged.answer == Answer.NEEDS_MORE and judged.change is not None and "highest values" in judged.change.text
 
 
 @pytest.mark.parametrize(("value_ns", "late"), [(DEADLINE - 1, 0), (DEADLINE, 0), (DEADLINE + 1, 1)])

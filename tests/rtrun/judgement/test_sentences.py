@@ -67,8 +67,12 @@ ADDED = "for the system measure on 5 boots or more"
 @pytest.mark.parametrize(
     ("measured", "question", "said"),
     [
-        (trials(0), QUESTION, "3 688 more measurements (4 s) prove it without a miss (chance of that: 0 %)"),
-        (trials(1000), QUESTION, "2 688 more measurements (3 s) prove it without a miss (chance of that: 52 %)"),
+        (trials(0), QUESTION, "3 688 more measurements (4 s) prove it without a miss (chance that none comes: 0 %)"),
+        (
+            trials(1000),
+            QUESTION,
+            "2 688 more measurements (3 s) prove it without a miss (chance that none comes: 52",
+        ),
         (trials(4000, 2000), QUESTION, "prove it without another miss; at the rate seen, PROVEN after "),
         (trials(2000, 100, 700, 1200, 1900), QUESTION, "at the rate seen, no number is likely to decide it"),
         (trials(2000, *range(50, 2000, 310)), QUESTION, "at the rate seen, REFUTED after"),
@@ -126,8 +130,12 @@ def test_a_change_is_said_before_anything_else():
 @pytest.mark.parametrize(
     ("measured", "said"),
     [
-        (trials(4000), "in this boot, for single misses"),
-        (trials(100_000, boots=5), "on 5 boots (up to 52 % of boots may behave differently), for bursts of 22"),
+        (trials(4000), "in this boot, if late values come singly"),
+        (
+            trials(100_000, boots=5),
+            "on boots like the 5 that were measured (up to 52 % of all boots may behave differently), "
+            "even if late values come 22 in a row",
+        ),
     ],
 )
 def test_the_table_says_beside_the_answer_what_it_holds_for(measured, said):

@@ -226,7 +226,7 @@ def test_without_scripts_the_answers_and_tables_are_there(visit):
     still = visit.pages["still"]
     assert not still["scripted"] and still["tables"] > 20
     assert "scenarios failed. The 3 worst of them are open, the other" in still["text"]
-    assert "is not met in 7 of 15 scenarios; not known yet: 8." in still["text"] and still["plots"] == 60
+    assert "is not met in 7 of 15 scenarios, not known yet in 8." in still["text"] and still["plots"] == 60
 
 
 def test_hostile_names_stay_text(visit):

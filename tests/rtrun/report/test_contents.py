@@ -57,13 +57,12 @@ def texts(value: object) -> Iterator[str]:
         ),
         (
             {},
-            "It is not decided whether the deadline of 400 us is met in the one scenario. "
-            "Asked: at most 1 in a million late, 95 % sure.",
+            "It is not decided whether the deadline of 400 us is met. Asked: at most 1 in a million late, 95 % sure.",
             "measure more",
         ),
         (
             {"deadline_ns": 90_000},
-            "The deadline of 90 us is not met in the one scenario. Asked: at most 1 in a million late, 95 % sure.",
+            "The deadline of 90 us is not met. Asked: at most 1 in a million late, 95 % sure.",
             "rtrun check-rt --target",
         ),
     ],

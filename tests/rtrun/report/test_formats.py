@@ -143,7 +143,7 @@ def test_a_report_is_written_beside_the_results(capsys, tmp_path):
     assert main(["report", str(tmp_path)]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert (
-        printed[0].startswith("It is not decided whether the deadline of 400 us is met in the one scenario. Asked: ")
+        printed[0].startswith("It is not decided whether the deadline of 400 us is met. Asked: ")
         and printed[1].startswith("oneshot_timer  none of 300 late, worst ")
         and printed[-2].startswith("next: measure more: ")
         and printed[-1] == str(tmp_path / "report.html")

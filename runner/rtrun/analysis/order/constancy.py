@@ -203,7 +203,7 @@ def _within(boot: Boot, of_heights: bool) -> tuple[Visits | None, list[Change]]:
     found: list[Change] = []
     seen: Visits | None = None
     of_misses = (boot.missed_at, boot.missed_at, "misses", SIGNIFICANT_OF_MISSES)
-    of_high_values = (boot.highest_at, boot.high_at, "high values", SIGNIFICANT)
+    of_high_values = (boot.highest_at, boot.high_at, "highest values", SIGNIFICANT)
     for tested, places, events, significant in (of_misses, of_high_values)[: 1 + of_heights]:
         change = None if tested is None else find_change(tested, boot.loops, events, significant)
         if change is None or places is None:

@@ -98,7 +98,7 @@ def _by_places(positions: Int64s, loops: int, events: str, significant: float) -
     ends = Change(
         p_value=ends_p,
         significant=significant,
-        text=f"{count} of {starts.size} {events} lie in the {where} {100 * abs(fraction):.2g} % of a run",
+        text=f"{count} of the {starts.size} {events} lie in the {where} {100 * abs(fraction):.2g} % of a run",
     )
     if starts.size < _LEAST_FOR_PARTS:
         return [ends]
@@ -112,7 +112,7 @@ def _uneven(counts: Int64s, events: str) -> str:
     first, last = (int(more[0]), int(more[-1])) if more.size else (0, PARTS)
     if more.size != last - first + 1:
         return f"{events} do not come evenly, in eighths of a run: {', '.join(map(str, counts))}"
-    inside = f"{counts[more].sum()} of {counts.sum()} {events} lie in"
+    inside = f"{counts[more].sum()} of the {counts.sum()} {events} lie in"
     if not first or last == PARTS - 1:
         return f"{inside} the {'last' if first else 'first'} {counted(more.size, 'eighth')} of a run"
     return f"{inside} {counted(more.size, 'eighth')} of a run, after {100 * first / PARTS:.3g} % of it"
@@ -174,9 +174,6 @@ def test_of_order(counts: Int64s, loops: Int64s, events: str) -> tuple[float, st
     if order is None:
         return 1.0, f"{events} come as often in each of {counts.size}"
     number = order.count or counts.size // 2
-    is_last = order.where in ("last", "rising")
-    inside = int(counts[counts.size - number :].sum() if is_last else counts[:number].sum())
-    return (
-        order.p_value,
-        f"{inside} of {counts.sum()} {events} lie in the {'last' if is_last else 'first'} {number} of {counts.size}",
-    )
+    where = "last" if order.where in ("last", "rising") else "first"
+    inside = int(counts[counts.size - number :].sum() if where == "last" else counts[:number].sum())
+    return order.p_value, f"{inside} of the {counts.sum()} {events} lie in the {where} {number} of {counts.size}"
