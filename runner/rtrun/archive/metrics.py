@@ -24,7 +24,9 @@ _HELP = {
     "rtrun_board_new": "Whether a board was measured on too few boots for changes to be seen.",
     "rtrun_board_offline": "Whether the exporter of a place ended.",
     "rtrun_board_quarantined": "Whether a place is in quarantine.",
-    "rtrun_board_last_seen_time_seconds": "When the last run that a board answered in was begun, seconds since 1970.",
+    "rtrun_board_last_seen_time_seconds": (
+        "When the last run in which a board answered was begun, in seconds since 1970."
+    ),
 }
 _Sample = tuple[str, Mapping[str, str], float]
 """A metric, its labels and its value."""

@@ -75,9 +75,9 @@ class Table:
         if spare < 0:
             yield from self._listed(rows, int(width))
             return
-        # Spare width goes to the column that lacks most, so that few cells take several lines.
-        while spare > 0 and max(missing) > 0:
-            place = missing.index(max(missing))
+        # Spare width goes to the text that lacks most, so that few cells take several lines, then to other headings.
+        while spare > 0 and any(missing):
+            place = min((k for k, lack in enumerate(missing) if lack), key=lambda k: (k in self.numbers, -missing[k]))
             widths[place], missing[place], spare = widths[place] + 1, missing[place] - 1, spare - 1
         yield from self._row(self.columns, widths, is_heading=True)
         yield _text("─" * (sum(widths) + gaps))
