@@ -19,13 +19,15 @@ import numpy as np
 import processes
 from processes import DEADLINE_NS, Int64s, Lengths, Rng
 from report.campaigns import cyclic_rows
+from scipy.signal import lfilter
+from scipy.stats import genpareto
 from written import write_output
 
 from rtrun.analysis import deadline
 from rtrun.analysis.account import Account
 from rtrun.analysis.chance.distributions import Floats
 from rtrun.analysis.chance.further import proves, smallest
-from rtrun.analysis.chance.intervals import anytime_upper, clopper_pearson
+from rtrun.analysis.chance.intervals import anytime_interval, anytime_upper, clopper_pearson
 from rtrun.analysis.comparison import differences as comparison
 from rtrun.analysis.comparison import layers
 from rtrun.analysis.comparison.differences import ComparisonAnswer, compare, correct
@@ -37,7 +39,12 @@ from rtrun.analysis.dependence.units import CountedRun
 from rtrun.analysis.histogram import from_samples
 from rtrun.analysis.order import constancy, recurrence, startup
 from rtrun.analysis.order.constancy import Boot, Constancy, examine_constancy, join_boots
-from rtrun.analysis.order.stationarity import Change
+from rtrun.analysis.order.stationarity import SIGNIFICANT, Change, find_change
+from rtrun.analysis.order.trends import find_climb
+from rtrun.analysis.tails.anderson_darling import p_value
+from rtrun.analysis.tails.extreme_values import tail_of
+from rtrun.analysis.tails.fits import GPD, fit, sample_of
+from rtrun.analysis.tails.worst_case import worst_case
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
 from rtrun.judgement import study as studies
 from rtrun.judgement.study import study
@@ -358,6 +365,89 @@ def seen_to_differ(rng: Rng) -> bool:
         block = cut(rng.normal(40_000 + 500 * place + 1000 * rng.normal(), 2000, 128).astype(np.int64))
         sides[side].append(replace(block, boot="boot", start_time=f"2026-01-01T00:{place:02}:00+00:00"))
     return compare(sides["A"], sides["B"]).answer == ComparisonAnswer.DIFFERENT
+
+
+def _remembering(n: int, mean_ns: float, rng: Rng) -> Blocks:
+    """A run of AR(0.95) values with a standard deviation of 8 us."""
+    noise = rng.normal(size=n + 500) * (1 - 0.95**2) ** 0.5
+    return cut((mean_ns + 8000 * lfilter([1], [1, -0.95], noise)[500:]).astype(np.int64))
+
+
+def run_seen_to_differ(shift_ns: int, rng: Rng) -> bool:
+    """Whether a run is seen to differ from one that lies so much higher."""
+    compared = compare([_remembering(20_000, 60_000, rng)], [_remembering(20_000, 60_000 + shift_ns, rng)])
+    return compared.answer == ComparisonAnswer.RUNS_DIFFER
+
+
+def shift_outside_its_interval(rng: Rng) -> bool:
+    """Whether a shift of 3 us lies outside the interval of the difference of means."""
+    shift = compare([_remembering(20_000, 60_000, rng)], [_remembering(20_000, 63_000, rng)]).shifts[0]
+    return not shift.low_ns <= 3000 <= shift.high_ns
+
+
+def quantile_outside_its_interval(figure: str, rng: Rng) -> bool:
+    """Whether a shift of 0.7 us of independent values lies outside the interval of this quantile's difference."""
+    a, b = (cut((100_000 + shift + rng.normal(0, 4000, 40_000)).astype(np.int64)) for shift in (0, 700))
+    (found,) = (shift for shift in compare([a], [b]).shifts if shift.figure == figure)
+    return not found.low_ns <= 700 <= found.high_ns
+
+
+def boots_seen_to_differ(rng: Rng) -> bool:
+    """DIFFERENT, of two sets of six runs in turn, whose means differ by 1.5 us (standard deviation) and not by set."""
+    runs = [
+        replace(_remembering(4000, 60_000 + 1500 * rng.normal(), rng), boot="boot", start_time=f"{place:02}")
+        for place in range(12)
+    ]
+    return compare(runs[::2], runs[1::2]).answer == ComparisonAnswer.DIFFERENT
+
+
+def _slower_boots(slope_us: float, rng: Rng) -> list[Trials]:
+    """Ten boots about 300 us (standard deviation 5 us), each so much slower than the last."""
+    middles = [1000 * (300 + 5 * rng.normal() + slope_us * boot) for boot in range(10)]
+    return [trials_of(processes.around(middle, 2000, rng), boot, str(boot)) for boot, middle in enumerate(middles)]
+
+
+@cache
+def _smallest_climb_us() -> float:
+    """What is stated as the smallest climb that would be seen in such boots: the median of twenty sets of them."""
+    rng = np.random.default_rng(SEED)
+    climbs = [find_climb("boot", [[[run] for run in _slower_boots(0, rng)]], DEADLINE_NS) for _ in range(20)]
+    return float(np.median([climb.smallest_ns for climb in climbs if climb and climb.smallest_ns])) / 1000
+
+
+def climb_is_seen(part: float, rng: Rng) -> bool:
+    """Whether a climb is seen that is such a part of the smallest one."""
+    boots = join_boots(_slower_boots(part * _smallest_climb_us(), rng))
+    return examine_constancy(boots, probability=P, confidence=0.95, deadline_ns=DEADLINE_NS).change is not None
+
+
+def even_events_change(number: int, rng: Rng) -> bool:
+    """Whether a change is seen in events that lie evenly."""
+    change = find_change(np.sort(rng.choice(100_000, number, replace=False)), 100_000, "misses")
+    return change is not None and change.p_value < SIGNIFICANT
+
+
+def outside_at_any_look(rng: Rng) -> bool:
+    """Whether the interval is without the true P(miss) after any measurement until 300 missed."""
+    p, misses = 1e-2, rng.geometric(1e-2, 300).cumsum().tolist()
+    is_proven = any(anytime_interval(k, n - 1, 0.95)[1] < p for k, n in enumerate(misses))
+    return is_proven or any(anytime_interval(k, n, 0.95)[0] > p for k, n in enumerate(misses, 1))
+
+
+def worst_cases(step_ns: int, rng: Rng) -> list[bool | None]:
+    """Of each opinion on an exponential tail whether its interval misses the true level; None where it is refused."""
+    truth = 50_000 - 5000 * np.log(1e-6)
+    values = (50_000 + rng.exponential(5000, 200_000)).astype(np.int64) // step_ns * step_ns
+    return [
+        None if bound.low_ns is None or bound.high_ns is None else not bound.low_ns <= truth <= bound.high_ns
+        for bound in worst_case([tail_of(values)], probability=1e-6, quantum_ns=step_ns)
+    ]
+
+
+def fit_is_rejected(level: float, shape: float, step_ns: int, rng: Rng) -> bool:
+    """Whether a GPD that is fitted to values of a GPD is rejected at this level."""
+    values = genpareto.rvs(shape, scale=5000, size=400, random_state=rng).astype(np.int64) // step_ns * step_ns
+    return p_value(values, step_ns, fit(GPD, sample_of(values, step_ns))[0]) < level
 
 
 def proven_by_those_that_did_not_hang(rng: Rng) -> bool:
@@ -803,6 +893,67 @@ ROWS = [
         name="two sets that differ in nothing, a steady drift, 20 runs each, most of one before the other",
         event="DIFFERENT", draw=seen_to_differ, at_most=5.0, quick=20, long=200,
         remedy=(comparison, "is_interleaved", lambda *_: True),
+    ),
+    *(
+        Row(
+            name=f"compare: two runs of AR(0.95), {shift_ns / 1000:g} us apart", event="are seen to differ", quick=0,
+            draw=partial(run_seen_to_differ, shift_ns), at_most=100.0 if shift_ns else 12.0,
+            at_least=95.0 if shift_ns else 0.0, long=300,
+        )
+        for shift_ns in (0, 3000)
+    ),
+    Row(
+        name="compare: two runs of AR(0.95), 3 us apart, the mean", event="outside the interval", quick=0,
+        draw=shift_outside_its_interval, at_most=12.0, long=300,
+    ),
+    *(
+        Row(
+            name=f"compare: two runs of independent values, 0.7 us apart, {figure}", event="outside the interval",
+            draw=partial(quantile_outside_its_interval, figure), at_most=12.0, quick=0, long=200,
+        )
+        for figure in ("p50", "p90", "p99")
+    ),
+    Row(
+        name="compare: six boots a side in turn, which differ by 1.5 us", event="DIFFERENT", quick=0,
+        draw=boots_seen_to_differ, at_most=8.0, long=300,
+    ),
+    *(
+        Row(
+            name=f"ten boots, each slower than the last by {part} of the smallest climb that is stated", quick=0,
+            event="a change is seen", draw=partial(climb_is_seen, part), at_least=75.0 if part == 1 else 0.0,
+            at_most=100.0 if part == 1 else 50.0, long=200,
+        )
+        for part in (1, 0.3)
+    ),
+    *(
+        Row(
+            name=f"{number} events that lie evenly", event="a change is seen", draw=partial(even_events_change, number),
+            at_most=2.5, quick=0, long=1000,
+        )
+        for number in (2, 5, 30, 300)
+    ),
+    Row(
+        # Either end is wrong in at most one case of twenty.
+        name="looking after every measurement until 300 missed", event="outside the interval at any look", at_most=10.0,
+        draw=outside_at_any_look, quick=0, long=200,
+    ),
+    *(
+        Row(
+            name=f"worst case of an exponential tail by {opinion}, steps of {step_ns} ns", event="outside the interval",
+            draw=lambda rng, place=place, step_ns=step_ns: worst_cases(step_ns, rng)[place], at_most=15.0, quick=0,
+        )
+        for step_ns in (1, 1000)
+        for place, opinion in enumerate(("peaks", "maxima", "the exponential tail"))
+    ),
+    *(
+        Row(
+            name=f"a GPD fitted to one of shape {shape:g}, steps of {step_ns} ns", event=f"rejected at {level:g}",
+            draw=partial(fit_is_rejected, level, shape, step_ns), at_most=65.0 if level == 0.5 else 8.0,
+            at_least=35.0 if level == 0.5 else 0.0, quick=0,
+        )
+        for shape in (-0.3, 0.0, 0.3)
+        for step_ns in (1, 1000)
+        for level in (0.05, 0.5)
     ),
     Row(
         name="a publisher that misses its rate in half of all runs, and then deadlines more often; repeated until kept",

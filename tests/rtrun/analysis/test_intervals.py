@@ -54,8 +54,8 @@ def last_refutation(interval, p: float, most: int) -> list[int]:
 
 @pytest.mark.parametrize(("interval", "proven", "refuted"), [(anytime_interval, 0.05, 0.05), (clopper_pearson, 1, 1)])
 def test_looking_after_every_measurement(interval, proven: float, refuted: float) -> None:
-    """The share of sequences with p exactly at the target that are ever answered wrongly, up to 300 events."""
-    p, most = 1e-2, 300
+    """The share of sequences with p exactly at the target that are ever answered wrongly, up to 100 events."""
+    p, most = 1e-2, 100
     events = np.random.default_rng(20140715).geometric(p, (3000, most + 1)).cumsum(axis=1)
     # With k events the proof comes at a fixed n: wrong if event k + 1 (1-based) has not come by then.
     ever_proven = (events[:, :most] > first_proof(interval, p, most)).any(axis=1).mean()

@@ -18,11 +18,8 @@ def test_the_test_of_ends_is_exact() -> None:
 def test_even_events_are_no_change() -> None:
     rng = np.random.default_rng(5)
     for k in (2, 5, 30, 300):
-        seen = 0
-        for _ in range(400):
-            change = find_change(np.sort(rng.choice(100_000, k, replace=False)), 100_000, "misses")
-            seen += change is not None and change.p_value < SIGNIFICANT
-        assert seen <= 10
+        change = find_change(np.sort(rng.choice(100_000, k, replace=False)), 100_000, "misses")
+        assert change is None or change.p_value > SIGNIFICANT
 
 
 def test_a_change_is_seen() -> None:
