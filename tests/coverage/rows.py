@@ -86,6 +86,17 @@ class Row:
         counted = [happened for _ in range(draws) if (happened := self.draw(rng)) is not None]
         return sum(counted), len(counted)
 
+    def is_broken(self, draws: int) -> bool:
+        """Whether the share of so many draws is beyond the bounds; no more are made than it takes to know that."""
+        rng, happened, counted = np.random.default_rng([SEED, 0]), 0, 0
+        for left in reversed(range(draws)):
+            drawn = self.draw(rng)
+            happened, counted = happened + bool(drawn), counted + (drawn is not None)
+            lowest, highest = percent(happened, counted + left), percent(happened + left, counted + left)
+            if lowest > self.at_most or highest < self.at_least:
+                return True
+        return False
+
     def holds(self, share: float) -> bool:
         """Whether a share is within the bounds."""
         return self.at_least <= share <= self.at_most
@@ -652,7 +663,7 @@ ROWS = [
     *(
         Row(
             name=f"looking after each of {looks} batches of 2000", event="PROVEN at any look",
-            draw=partial(proven_at_any_look, looks, 2000), at_most=5.0, quick={20: 60}.get(looks, 0),
+            draw=partial(proven_at_any_look, looks, 2000), at_most=5.0, quick={20: 20}.get(looks, 0),
             long={1: 500, 5: 500, 20: 200, 100: 60}[looks], reported={1: "2", 5: "6", 20: "10", 100: "17"}[looks],
             remedy=(deadline, "longest_burst", _plain_interval) if looks == 20 else None,
         )
@@ -801,7 +812,7 @@ ROWS = [
         Row(
             name=f"bursts of {length}, a goal that asks for them, a look after each of 40 rounds of {250 * length}",
             event="PROVEN at any look", draw=partial(proven_at_any_look_in_bursts, length), at_most=5.0,
-            quick=24 if length == 20 else 0, long=100, reported={5: "47", 20: "83"}[length],
+            quick=10 if length == 20 else 0, long=100, reported={5: "47", 20: "83"}[length],
             remedy=(deadline, "longest_burst", _any_burst),
         )
         for length in (5, 20)
@@ -828,7 +839,7 @@ ROWS = [
             remedy=(deadline, "anytime_upper", _one_look) if quick and looks > 1 else None,
         )
         for name, lengths in processes.LENGTHS.items()
-        for rate, looks, quick in ((1 / 5000, 1, 0), (1 / 500, 1, 40), (1 / 5000, 10, 60 if "heavy" in name else 0))
+        for rate, looks, quick in ((1 / 5000, 1, 0), (1 / 500, 1, 40), (1 / 5000, 10, 40 if "heavy" in name else 0))
     ),
     Row(
         name="episodes of misses, 5 boots, rates lognormal (sd 1)", at_most=5.0, quick=40,

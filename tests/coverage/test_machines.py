@@ -128,7 +128,7 @@ def test_a_seed_gives_the_same_files_and_the_same_answer(name, tmp_path):
 def test_what_fails_is_kept_as_the_runner_keeps_it(tmp_path):
     kept = {"failures": "*.old-1/run.json", "missed rates": "*.old-1/run.json", "hangs": "*.incomplete-1/*.npy"}
     for name, pattern in kept.items():
-        seeds = _seeds(name, count=12)
+        seeds = _seeds(name, count=6)
         for seed in seeds:
             User(Machine(seed), tmp_path / str(seed)).measure_and_ask()
         found = [path for seed in seeds for path in (tmp_path / str(seed)).glob(f"results/{pattern}")]
