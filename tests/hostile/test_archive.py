@@ -134,18 +134,19 @@ GROUPS_MEMORY_MIB = 200
 
 @pytest.mark.parametrize("table", ["runs", "histograms"])
 @pytest.mark.parametrize("groups", [1024, 1025, 20_000])
-@pytest.mark.parametrize("command", [("history",), ("archive", "compact"), ("trends",)])
-def test_many_row_groups_are_refused_before_their_list_is_read(archive, table, groups, command):
+def test_many_row_groups_are_refused_before_their_list_is_read(archive, table, groups):
     """A footer of 20 000 row groups takes hundreds of MiB; the runs' file has one row more than one of a run."""
     path = sorted((archive / table).rglob("*.parquet"))[0]
     rows = pyarrow.concat_tables([pyarrow.parquet.ParquetFile(path).read()] * groups).combine_chunks().slice(0, groups)
     pyarrow.parquet.write_table(rows, path, row_group_size=1, store_schema=False)
-    status, said, peak_mib = called(*command, archive)
-    assert peak_mib < GROUPS_MEMORY_MIB
-    if groups > 1024:
-        assert status == 2 and f"{path}: its footer is damaged, or lists more than 1024 row groups: " in said
-    else:
-        assert status == (2 if table == "runs" else 0), said
+    for command in (("history",), ("trends",), ("archive", "compact")):  # which may write, comes last
+        status, said, peak_mib = called(*command, archive)
+        assert peak_mib < GROUPS_MEMORY_MIB, command
+        if groups > 1024:
+            refused = f"{path}: its footer is damaged, or lists more than 1024 row groups: "
+            assert status == 2 and refused in said, (command, said)
+        else:
+            assert status == (2 if table == "runs" else 0), (command, said)
 
 
 def test_many_files_are_not_held_at_one_time(tmp_path):
