@@ -7,6 +7,7 @@ import subprocess
 import threading
 import time
 import uuid
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
@@ -192,33 +193,47 @@ def test_end_waits_for_what_has_just_been_started(link, folder):
         process.kill()
 
 
+# What the file may say by which a program is known; {own} is what it said.
+WRONG = ("", "\n", "/\n", "/sys/fs/cgroup/unified\n", "RTRUN_PROGRAM=\n", "PATH=/\n", "{own}/..")
+
+
 @pytest.mark.parametrize("how", [apart, without_groups])
-@pytest.mark.parametrize(
-    "content", ["", "\n", "/\n", "/sys/fs/cgroup/unified\n", "RTRUN_PROGRAM=\n", "PATH=/\n", "{own}/.."]
-)
-def test_end_kills_nothing_that_a_wrong_file_names(target, tmp_path, content, how, remarks):
-    """As root, it could end everything on the board. A pid file counts for nothing."""
-    for folder in (folders := [tmp_path / name for name in ("own", "other", "sshd")]):
+def test_end_kills_nothing_that_a_wrong_file_names(target, tmp_path, how, remarks):
+    """As root, it could end everything on the board. A pid file counts for nothing.
+
+    All wrong files at once, a link for each: to give up waits for what a file may still come to name.
+    """
+    for folder in (folders := [tmp_path / name for name in (*map(str, range(len(WRONG))), "other", "sshd")]):
         folder.mkdir()
     with serve(folders.pop(), how()) as server, contextlib.ExitStack() as stack:
         stack.callback(server.process.kill)
-        link = stack.enter_context(Link(replace(target, address=server.address), remarks.append))
+        there = replace(target, address=server.address)
+        link, *links = [stack.enter_context(Link(there, remarks.append)) for _ in range(1 + len(WRONG))]
         scripts = deploy_scripts(link)
         for folder in folders:
             processes.start(link, scripts, PurePosixPath(folder), sh("exec sleep 300"))
             while not (folder / "p.stderr").exists():
                 time.sleep(0.01)
-        own, _ = [(folder / "p.known_by").read_text() for folder in folders]
-        assert own.startswith("RTRUN_PROGRAM=" if how is without_groups else "/")
-        (folders[0] / "p.known_by").write_text(content.format(own=own.strip()))
-        (folders[0] / "p.pid").write_text((folders[1] / "p.pid").read_text())
-        with pytest.raises(TargetError, match=r"could not be ended: [0-9]+ \(\S+\) of p, .*[0-9]+ \(sleep\) of p"):
-            processes.give_up(link, PurePosixPath(folders[0]), ["p"])
-        assert [processes.list_ended(link, PurePosixPath(folder), ["p"]) for folder in folders] == [[], []]
-        assert folders[0].exists() and not remarks
-        (folders[0] / "p.known_by").write_text(own)
-        processes.give_up(link, PurePosixPath(folders[0]), ["p"])
-        assert not folders[0].exists() and not processes.list_ended(link, PurePosixPath(folders[1]), ["p"])
+        *known_by, _ = [(folder / "p.known_by").read_text() for folder in folders]
+        assert all(own.startswith("RTRUN_PROGRAM=" if how is without_groups else "/") for own in known_by)
+        *folders, other = folders
+        for folder, content, own in zip(folders, WRONG, known_by, strict=True):
+            (folder / "p.known_by").write_text(content.format(own=own.strip()))
+            (folder / "p.pid").write_text((other / "p.pid").read_text())
+
+        def give_up_in_vain(link, folder):
+            with pytest.raises(TargetError, match=r"could not be ended: [0-9]+ \(\S+\) of p, .*[0-9]+ \(sleep\) of p"):
+                processes.give_up(link, PurePosixPath(folder), ["p"])
+
+        with ThreadPoolExecutor(len(WRONG)) as threads:
+            list(threads.map(give_up_in_vain, links, folders))
+        for folder in (*folders, other):
+            assert processes.list_ended(link, PurePosixPath(folder), ["p"]) == [] and folder.exists()
+        assert not remarks
+        for folder, own in zip(folders, known_by, strict=True):
+            (folder / "p.known_by").write_text(own)
+            processes.give_up(link, PurePosixPath(folder), ["p"])
+            assert not folder.exists() and not processes.list_ended(link, PurePosixPath(other), ["p"])
 
 
 def test_killed_supervisor_leaves_no_status(link, scripts, folder):
