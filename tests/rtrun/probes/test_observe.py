@@ -1,5 +1,6 @@
 """Probes on programs that run: what they see, and that nothing of them is left, whatever happens."""
 
+import contextlib
 import itertools
 import os
 import shutil
@@ -142,7 +143,12 @@ def test_a_runner_that_is_silent_leaves_nothing_and_goes_on(way, loopback, here,
 
 @pytest.mark.parametrize(
     ("way", "kills"),
-    [("local", 6), ("sshd", 6), pytest.param("local", 30, marks=[pytest.mark.slow, pytest.mark.timeout(600)])],
+    [
+        ("local", (0, 1, 5)),
+        ("sshd", (0, 1, 5)),
+        pytest.param("local", range(30), marks=[pytest.mark.slow, pytest.mark.timeout(600)]),
+    ],
+    ids=str,
 )
 def test_a_killed_runner_leaves_nothing(way, kills, loopback, here, standin):
     address = here.target.address if way == "local" else loopback.address
@@ -150,7 +156,7 @@ def test_a_killed_runner_leaves_nothing(way, kills, loopback, here, standin):
         code = textwrap.dedent(RUNNER.format(address=address, pid=process.pid))
         code = f"from pathlib import PosixPath\n{code}"
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-        for number in range(kills):
+        for number in kills:
             with subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE) as runner:
                 # At the beginning, while probes are placed, and later.
                 if number % 3:
@@ -355,22 +361,22 @@ def test_a_library_of_a_mount_namespace(here, standin, tmp_path):
     assert any(probe.path.startswith(str(moved)) for probe in results[0].placed)
 
 
-@pytest.mark.parametrize("name", [b"a\\nb", b"a\nb", b"a#b", b"a b", b"\xff\xe2\x80\xa8"])
-def test_a_library_in_a_folder_of_any_name(here, standin, tmp_path, name):
-    """Its program is seen, with megabytes of arguments, and so is another one with a copy of the same library."""
-    folder = os.fsencode(tmp_path) + b"/" + name
-    shutil.copytree(os.fsencode(standin.parent), folder)
+def test_libraries_in_folders_of_any_name(here, standin, tmp_path):
+    """Their programs are seen, with megabytes of arguments, and so is another one with a copy of the same library."""
     more = [f"robot_description:={'<' * 120_000}"] * 15
-    with (
-        subprocess.Popen([folder + b"/standin", "100", "1000000", "0", "1", "/own", "-1", *more]) as odd,
-        running(standin, 100, 10**9) as other,
-    ):
-        try:
-            *results, last = observed(here, odd.pid, other.pid, for_s=2)
-        finally:
-            odd.kill()
-    seen = {(hit.pid, hit.values["topic"]) for hit in values_of(results, "take")}
-    assert seen == {(odd.pid, "/own"), (other.pid, "/a")} and last.is_clean
+    expected = set()
+    with contextlib.ExitStack() as programs:
+        for number, name in enumerate([b"a\\nb", b"a\nb", b"a#b", b"a b", b"\xff\xe2\x80\xa8"]):
+            folder = os.fsencode(tmp_path) + b"/" + name
+            shutil.copytree(os.fsencode(standin.parent), folder)
+            argv = [folder + b"/standin", "100", "1000000", "0", "1", f"/own{number}", "-1", *more]
+            odd = programs.enter_context(subprocess.Popen(argv))
+            programs.callback(odd.kill)
+            expected.add((odd.pid, f"/own{number}"))
+        other = programs.enter_context(running(standin, 100, 10**9))
+        expected.add((other.pid, "/a"))
+        *results, last = observed(here, *(pid for pid, _ in expected), for_s=2)
+    assert {(hit.pid, hit.values["topic"]) for hit in values_of(results, "take")} == expected and last.is_clean
 
 
 def programs_of(link, path):

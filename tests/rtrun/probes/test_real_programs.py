@@ -248,7 +248,7 @@ def test_a_slow_callback_of_the_same_thread_is_what_a_late_message_waited_for(tm
         running(sys.executable, TALKER, "talker", 10**6, env=environment, cwd=tmp_path),
     ):
         assert "takes\n" in iter(slow.stdout.readline, "")
-        call = ["observe", "--target", str(target), "--for", "8s", "--trace", "above=15ms", "--results", str(results)]
+        call = ["observe", "--target", str(target), "--for", "4s", "--trace", "above=15ms", "--results", str(results)]
         assert main(call) == 0, capsys.readouterr()
         slow.kill()
         printed = slow.stdout.read()
