@@ -85,6 +85,10 @@ ONCE = {
 }
 
 
+# Rows without a value, which differ in nothing but their number: one of forty is changed.
+EMPTY = r"[0-9]{6} (000000\t?)+"
+
+
 def meaning(imported):
     return [
         (
@@ -121,6 +125,8 @@ def test_a_number_that_is_changed_alone_is_refused_or_does_not_matter(tmp_path, 
         start = text.rfind("\n", 0, match.start()) + 1
         line = text[start : text.index("\n", start)]
         if name in ONCE and re.match(ONCE[name], line):
+            continue
+        if re.fullmatch(EMPTY, line) and int(line.split()[0]) % 40:
             continue
         is_bin = bool(re.match(r' +"[0-9]+": [0-9]', line)) and text[match.end()] == '"'
         for other in changed(match[0], is_bin):
