@@ -35,7 +35,7 @@ def histogram_text(rng, mean_us, n=20_000):
 
 
 @pytest.mark.parametrize("number", [150, pytest.param(2000, marks=[pytest.mark.slow, pytest.mark.timeout(900)])])
-def test_years_of_others(capsys, tmp_path, monkeypatch, number):
+def test_years_of_others(capsys, tmp_path, number):
     rng = np.random.default_rng(33)
     days = number // BOARDS
     for board in range(BOARDS):
@@ -46,7 +46,6 @@ def test_years_of_others(capsys, tmp_path, monkeypatch, number):
             path = tmp_path / "lab" / f"rack1-slot{board}" / KERNELS[kernel] / f"{start}.txt"
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(histogram_text(rng, mean_us))
-    monkeypatch.setattr("os.fsync", lambda handle: None)
     results, archive = str(tmp_path / "results"), str(tmp_path / "archive")
     names = ["--names", "{board}/{kernel}/{start}.txt", "--platform", "hardware", "--results", results]
     assert main(["import", *map(str, sorted((tmp_path / "lab").rglob("*.txt"))), *names]) == 0
