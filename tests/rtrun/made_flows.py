@@ -13,14 +13,14 @@ BEGIN_NS = 5_000 * S
 WALL_NS = 1_700_000_000 * S
 
 
-def program(pid, argv=("/opt/lib/talker",), start_ticks=100, threads=()):
+def program(pid, argv=("/opt/lib/talker",), start_ticks=100, threads=(), libraries=()):
     return ObservedProgram(
         pid=pid,
         start_ticks=start_ticks,
         name="comm",
         argv=tuple(argv),
         locked_bytes=0,
-        libraries=(),
+        libraries=libraries,
         threads=tuple(
             ProgramThread(tid=tid, name=name, policy="OTHER", priority=0, cpus=(0,)) for tid, name in threads
         ),

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 from rtrun.flows.messages import SUBSCRIPTIONS, Endpoint, Reception
 from rtrun.flows.observation_state import ObservationState
-from rtrun.flows.programs import LivingThing, numbered
+from rtrun.flows.programs import LivingProcess, LivingThing, numbered
 from rtrun.flows.recorder import FlowRecorder
-from rtrun.flows.threads import CALLBACKS, CallbackLog, LivingCallback, ObservedThread, OpenCallback
-from rtrun.flows.timers import LEAST_CALLS, TIMERS, LivingTimer, TimerLog
+from rtrun.flows.threads import CALLBACKS, CallbackLog, Cause, LivingCallback, ObservedThread, OpenCallback
+from rtrun.flows.timers import LEAST_CALLS, TIMERS, LivingTimer, TimerCall, TimerLog
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.probes.hits import Hit
 
@@ -31,6 +31,7 @@ class CallRecord:
             "timer_init": self._init_timer,
             "timer_linked": self._link_timer,
             "timer_call": self._call_timer,
+            "timer_execute": self._execute_timer,
         }
         self._state = state
         self._recorder = recorder
@@ -39,7 +40,8 @@ class CallRecord:
 
     def _init_timer(self, hit: Hit, thread: ObservedThread) -> None:
         thread.does_other_work()
-        self._made(hit, thread)
+        if (timer := self._made(hit, thread)) is not None:
+            timer.whole_epoch = self._state.epoch
 
     def _made(self, hit: Hit, thread: ObservedThread) -> LivingTimer | None:
         handle, period_ns, clock = (hit.values.get(key) for key in ("timer", "period_ns", "clock"))
@@ -58,6 +60,7 @@ class CallRecord:
 
     def _link_timer(self, hit: Hit, thread: ObservedThread) -> None:
         thread.does_other_work()
+        self._shows_callbacks(thread.process)
         timer = TIMERS.of(thread.process).get(hit.values.get("timer", ""))
         if timer is None:
             self._state.unreadable += 1
@@ -78,21 +81,67 @@ class CallRecord:
             timer.period_ns = timer.period_ns if not isinstance(period_ns, int) else period_ns
             clock = values.get("clock")
             timer.clock = clock if isinstance(clock, str) else timer.clock
-        thread.calls_timer(timer)
         expected = values.get("expected_ns")
-        call = (hit.at_ns, expected if isinstance(expected, int) else NOT_SEEN_NS, self._state.epoch)
-        if timer.log is not None:
-            timer.log.add(*call[:2], timer, call[2])
-            return
-        timer.early.append(call)
-        if len(timer.early) >= LEAST_CALLS:
-            if self._state.is_full:
-                timer.early.clear()
-                return
-            timer.log = self._log_of(timer)
-            for at_ns, expected_ns, epoch in timer.early:
-                timer.log.add(at_ns, expected_ns, timer, epoch)
+        timer.due_ns = expected if isinstance(expected, int) else timer.due_ns
+        call = TimerCall(timer, hit.at_ns, expected if isinstance(expected, int) else NOT_SEEN_NS)
+        thread.calls_timer(call)
+        (timer.log or timer).calls += 1
+        if "is_begin" in values or not thread.process.shows_callbacks:
+            self._add_row(timer, call.at_ns, call.expected_ns)
+        else:
+            timer.waits(call)
+        if timer.log is None and timer.calls >= LEAST_CALLS:
+            if not self._state.is_full:
+                timer.log = self._log_of(timer)
+                timer.log.calls += timer.calls
+                timer.log.unpaired += timer.unpaired
+                for begin_ns, due_ns, epoch in timer.early:
+                    timer.log.add(begin_ns, due_ns, timer, epoch)
             timer.early.clear()
+
+    def _execute_timer(self, hit: Hit, thread: ObservedThread) -> None:
+        """An executor takes a call of a timer from its queue; the callback begins next on this thread."""
+        self._shows_callbacks(thread.process)
+        timer = TIMERS.of(thread.process).get(hit.values.get("timer", ""))
+        if timer is None:
+            thread.does_other_work()
+            return
+        # Each callback shows its call, so their order is not needed.
+        timer.waiting.clear()
+        timer.whole_epoch = None
+        call = TimerCall(timer, hit.at_ns, timer.checked_due(hit.values.get("expected_ns")))
+        thread.calls_timer(call)
+        if call.expected_ns == NOT_SEEN_NS and timer.due_ns is not None:
+            (timer.log or timer).unpaired += 1
+
+    def _begin_timer(self, timer: LivingTimer, cause: Cause | None, begin_ns: int) -> None:
+        """The callback of a timer begins: directly after its call on the same thread, or taken from a queue."""
+        if isinstance(cause, TimerCall) and cause.timer is timer:
+            while timer.waiting and timer.waiting[0].at_ns <= cause.at_ns:
+                timer.waiting.popleft()
+            call: TimerCall | None = cause
+        else:
+            call = timer.next_waiting(self._state.epoch)
+            (timer.log or timer).unpaired += call is None
+        self._add_row(timer, begin_ns, NOT_SEEN_NS if call is None else call.expected_ns)
+
+    def _add_row(self, timer: LivingTimer, begin_ns: int, expected_ns: int) -> None:
+        if timer.log is not None:
+            timer.log.add(begin_ns, expected_ns, timer, self._state.epoch)
+        elif len(timer.early) < LEAST_CALLS:
+            timer.early.append((begin_ns, expected_ns, self._state.epoch))
+
+    def _shows_callbacks(self, process: LivingProcess) -> None:
+        """A process is of rclcpp. If that was not known, the calls of its timers were taken for begins: forget them."""
+        if process.shows_callbacks:
+            return
+        process.has_shown_callbacks = True
+        for timer in TIMERS.of(process).values():
+            timer.early.clear()
+            if (log := timer.log) is not None:
+                timer.log = TimerLog(log.label, log.period_ns, log.clock, log.number, self._state.store)
+                timer.log.calls = log.calls
+                self.timers[log.label, log.period_ns, log.clock, log.number] = timer.log
 
     def _log_of(self, timer: LivingTimer) -> TimerLog:
         name = self._state.label(timer.process, timer.process.node(timer.node))
@@ -109,6 +158,7 @@ class CallRecord:
     def _link_subscription(self, hit: Hit, thread: ObservedThread) -> None:
         """rclcpp made its own object for a subscription of rcl."""
         thread.does_other_work()
+        self._shows_callbacks(thread.process)
         subscriptions, handle = SUBSCRIPTIONS.of(thread.process), hit.values.get("object")
         endpoint = subscriptions.get(hit.values.get("subscription", ""))
         if handle is not None and endpoint is not None and self._state.has_room(handle, subscriptions):
@@ -117,6 +167,7 @@ class CallRecord:
     def _add_callback(self, hit: Hit, thread: ObservedThread) -> None:
         """A timer or subscription gets a callback."""
         thread.does_other_work()
+        self._shows_callbacks(thread.process)
         handle = hit.values.get("callback")
         if handle is None:
             self._state.unreadable += 1
@@ -130,6 +181,7 @@ class CallRecord:
         made = callbacks[handle] = LivingCallback(process)
         timer = TIMERS.of(process).get(hit.values.get("timer", ""))
         made.owner = timer or SUBSCRIPTIONS.of(process).get(hit.values.get("object", ""))
+        made.is_linked = made.owner is not None
 
     def _begin(self, hit: Hit, thread: ObservedThread) -> None:
         thread.has_callbacks = True
@@ -145,7 +197,14 @@ class CallRecord:
             callback = CALLBACKS.of(thread.process)[handle] = LivingCallback(thread.process)
         # roscpp tells the topic: another thread took the message.
         is_told = "topic" in hit.values
+        if not is_told:
+            self._shows_callbacks(thread.process)
         message = cause if not is_told and callback.is_of(cause) and isinstance(cause, Reception) else None
+        if isinstance(callback.owner, LivingTimer):
+            if not callback.is_mixed:
+                self._begin_timer(callback.owner, cause, hit.at_ns)
+            elif callback.owner.log is not None:
+                callback.owner.log.is_mixed = True
         if len(thread.callbacks) >= _NESTED_MAX:
             thread.callbacks.clear()
         thread.callbacks.append(OpenCallback(callback, hit.at_ns, message))

@@ -6,6 +6,7 @@ from pathlib import PurePosixPath
 from typing import Any, Generic, Protocol, TypeVar
 
 from rtrun.probes.hits import ObservedProgram
+from rtrun.probes.libraries.description import libraries
 
 T = TypeVar("T")
 _REMAPPED = re.compile(r"(?:[^:=]*:)?__(node|name|ns):=(.*)", re.DOTALL)
@@ -20,9 +21,15 @@ Handle = int | str
 
 
 class LivingProcess:
-    """A process from its first hit to its end. `label` names its node, or the program if no node is known."""
+    """A process from its first hit to its end. `label` names its node, or the program if no node is known.
 
-    __slots__ = ("has_own_name", "is_alive", "label", "labels", "names_of_nodes", "pid", "program", "tables")
+    `has_shown_callbacks`: a hit of rclcpp was seen, which shows where callbacks begin.
+    """
+
+    __slots__ = (
+        "has_own_name", "has_shown_callbacks", "is_alive", "label", "labels", "names_of_nodes", "pid", "program",
+        "tables",
+    )  # fmt: skip
 
     def __init__(self, pid: int, program: ObservedProgram | None, *, has_own_name: bool = False) -> None:
         self.pid = pid
@@ -32,10 +39,16 @@ class LivingProcess:
         self.label = unknown if program is None else label_of(program)
         self.is_alive = True
         self.has_own_name = has_own_name
+        self.has_shown_callbacks = False
         self.names_of_nodes: dict[Handle, str] = {}
         self.labels: dict[str, str] = {}
         """By names of its nodes: these names, numbered where another process has the same."""
         self.tables: dict[HandleTable[Any], dict[Handle, Any]] = {}
+
+    @property
+    def shows_callbacks(self) -> bool:
+        """Whether it is of rclcpp, which shows where callbacks begin."""
+        return self.has_shown_callbacks or (self.program is not None and _is_of_rclcpp(self.program))
 
     @property
     def things(self) -> int:
@@ -113,6 +126,10 @@ class Numbering:
 def numbered(label: str, number: int) -> str:
     """A name, with its number unless that is 1."""
     return label if number == 1 else f"{label}#{number}"
+
+
+def _is_of_rclcpp(program: ObservedProgram) -> bool:
+    return any(map(libraries()["librclcpp"].is_file, program.libraries))
 
 
 def label_of(program: ObservedProgram) -> str:

@@ -6,9 +6,9 @@ from typing import NamedTuple
 from rtrun.flows.messages import Reception
 from rtrun.flows.programs import HandleTable, LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
-from rtrun.flows.timers import LivingTimer
+from rtrun.flows.timers import LivingTimer, TimerCall
 
-Cause = Reception | LivingTimer
+Cause = Reception | TimerCall
 _CALLS_WITHOUT_CAUSE = 8
 
 
@@ -28,16 +28,16 @@ class CallbackLog:
 class LivingCallback(LivingThing):
     """A callback of a living process. It gets a subject once its owner is known, or once that will not be known.
 
-    `owner` is the subscription or timer whose callback it is. `is_mixed`: it was called after several owners, so it is
-    not known what it handles.
+    `owner` is the subscription or timer whose callback it is. `is_linked`: rclcpp has named the owner. Otherwise the
+    first call shows it. `is_mixed`: it was called after several owners, so it is not known what it handles.
     """
 
-    __slots__ = ("calls", "early", "is_mixed", "logs", "named", "number", "owner")
+    __slots__ = ("calls", "early", "is_linked", "is_mixed", "logs", "named", "number", "owner")
 
     def __init__(self, process: LivingProcess) -> None:
         super().__init__(process)
         self.owner: LivingThing | None = None
-        self.is_mixed = False
+        self.is_linked = self.is_mixed = False
         self.named: tuple[str, str] | None = None
         """The label of its node, and its topic or timer."""
         self.number = 0
@@ -49,7 +49,9 @@ class LivingCallback(LivingThing):
         """Whether a call directly after `cause` handles that; the first cause shows whose callback it is."""
         if cause is None:
             return False
-        owner = cause.endpoint if isinstance(cause, Reception) else cause
+        owner = cause.endpoint if isinstance(cause, Reception) else cause.timer
+        if self.is_linked:
+            return self.owner is owner
         if self.owner is None:
             self.owner = owner
         elif self.owner is not owner:
@@ -76,12 +78,16 @@ class OpenCallback(NamedTuple):
 
 @dataclass(slots=True)
 class OpenTurn:
-    """A piece of work that a thread has begun: how often it triggered a guard condition since, and when last."""
+    """A piece of work that a thread has begun: how often it triggered a guard condition since, and when last.
+
+    `awaits_callback`: it has taken or called something, and the callback may begin elsewhere, or never.
+    """
 
     begin_ns: int
     cpu: int
     name: str
     has_callback: bool
+    awaits_callback: bool
     triggers: int = 0
     triggered_ns: int = 0
 
@@ -130,8 +136,8 @@ class ObservedThread:
         if self.triggers is not None:
             self.triggers = 0
 
-    def calls_timer(self, timer: LivingTimer) -> None:
-        self.cause = timer
+    def calls_timer(self, call: TimerCall) -> None:
+        self.cause = call
         self.taken = None
 
     def waits(self) -> None:
@@ -153,7 +159,7 @@ class ObservedThread:
         if self.callbacks:
             return self.callbacks[-1].message
         cause = self.cause
-        if self.has_callbacks or not isinstance(cause, Reception):
+        if self.has_callbacks or self.process.shows_callbacks or not isinstance(cause, Reception):
             return None
         if self.triggers is not None:
             return cause if self.triggers == 1 else None

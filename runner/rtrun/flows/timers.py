@@ -1,8 +1,14 @@
-"""Timers: when each was called, when it was due, and how late it therefore was."""
+"""Timers: when each callback began, when it was due, and how late it therefore was.
+
+A timer is called before its callback begins. In rclpy, rcl and roscpp the callback follows at once on the same thread,
+so the call is its begin. In rclcpp another thread may take it from a queue: there the begin is where a probe sees it.
+"""
 
 from array import array
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +24,7 @@ from rtrun.results.columns import PIECE_ROWS, collected
 LEAST_CALLS = 3
 """A timer with fewer calls has no interval to go by: rclpy makes a timer for each spin_once with a time limit."""
 _PERIOD_OFF_MAX = 0.1
+_QUEUED_MAX = 64  # calls of a timer whose callbacks have not begun
 _SAME_CLOCK = {"ros": "system"}  # unless the time is simulated
 _LATE_MAX_NS = 3600 * 10**9  # simulated time is further from the clock
 _NTP_DRIFT = 5e-4  # clocks that NTP disciplines drift by 500 ppm at most
@@ -31,9 +38,13 @@ def timer_name(period_ns: int | None) -> str:
 
 
 class TimerLog:
-    """The calls of a timer, over all restarts of its program. `rows`: when each call came, and when it was due."""
+    """The calls of a timer, over all restarts of its program.
 
-    __slots__ = ("clock", "cuts", "label", "latest", "number", "period_ns", "rows")
+    `rows`: when each callback began, and when it was due. `calls` counts all calls. `unpaired` counts callbacks that
+    belong to an unknown call. `is_mixed`: some callbacks cannot be told from those of other timers or topics.
+    """
+
+    __slots__ = ("calls", "clock", "cuts", "is_mixed", "label", "latest", "number", "period_ns", "rows", "unpaired")
 
     def __init__(self, label: str, period_ns: int | None, clock: str | None, number: int, store: RowStore) -> None:
         self.label = label
@@ -43,6 +54,8 @@ class TimerLog:
         self.rows = store.rows(2)
         self.cuts = store.rows()
         self.latest: tuple[int, LivingTimer] | None = None
+        self.is_mixed = False
+        self.calls = self.unpaired = 0
 
     @property
     def name(self) -> str:
@@ -50,7 +63,7 @@ class TimerLog:
         return timer_name(self.period_ns)
 
     def add(self, at_ns: int, expected_ns: int, timer: "LivingTimer", epoch: int) -> None:
-        """Count a call."""
+        """Count a callback that began."""
         latest = self.latest
         if latest is None or latest[1] is not timer or latest[0] != epoch:
             self.cuts.add((len(self.rows),))
@@ -58,10 +71,24 @@ class TimerLog:
         self.rows.add((at_ns, expected_ns))
 
 
-class LivingTimer(LivingThing):
-    """A timer of a living process; it gets a log after `LEAST_CALLS` calls."""
+class TimerCall(NamedTuple):
+    """A call of a timer, and when it was due; NOT_SEEN_NS: not known."""
 
-    __slots__ = ("clock", "early", "handle", "log", "node", "period_ns")
+    timer: "LivingTimer"
+    at_ns: int
+    expected_ns: int
+
+
+class LivingTimer(LivingThing):
+    """A timer of a living process; it gets a log after `LEAST_CALLS` calls.
+
+    `due_ns` is when the latest call was due, if that is known. `waiting` are the calls whose callbacks have not begun,
+    oldest first, while all were seen from the timer's making on: in `whole_epoch`.
+    """
+
+    __slots__ = (
+        "calls", "clock", "due_ns", "early", "handle", "log", "node", "period_ns", "unpaired", "waiting", "whole_epoch",
+    )  # fmt: skip
 
     def __init__(self, process: LivingProcess, handle: Handle, period_ns: int | None, clock: str | None) -> None:
         super().__init__(process)
@@ -69,8 +96,34 @@ class LivingTimer(LivingThing):
         self.period_ns = period_ns
         self.clock = clock
         self.node: Handle | None = None
+        self.calls = self.unpaired = 0
+        """As in its log to be."""
         self.early: list[tuple[int, int, int]] = []
+        """The rows of its log to be, each with its epoch."""
         self.log: TimerLog | None = None
+        self.due_ns: int | None = None
+        self.waiting: deque[TimerCall] = deque()
+        self.whole_epoch: int | None = None
+
+    def waits(self, call: TimerCall) -> None:
+        """The callback of a call has not begun yet."""
+        if self.whole_epoch is not None:
+            self.waiting.append(call)
+        if len(self.waiting) > _QUEUED_MAX:
+            self.waiting.clear()
+            self.whole_epoch = None
+
+    def next_waiting(self, epoch: int) -> TimerCall | None:
+        """Take the oldest waiting call; None if an older one may wait that was not seen."""
+        is_whole = self.whole_epoch == epoch
+        return self.waiting.popleft() if is_whole and self.waiting else None
+
+    def checked_due(self, expected_ns: object) -> int:
+        """When a queued call was due, if that is whole periods before the latest known one; otherwise NOT_SEEN_NS."""
+        if not isinstance(expected_ns, int) or self.due_ns is None or not self.period_ns:
+            return NOT_SEEN_NS
+        before_ns = self.due_ns - expected_ns
+        return expected_ns if before_ns >= 0 and before_ns % self.period_ns == 0 else NOT_SEEN_NS
 
 
 TIMERS = HandleTable[LivingTimer]()
@@ -78,7 +131,7 @@ TIMERS = HandleTable[LivingTimer]()
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lateness:
-    """The calls of a timer whose lateness is known: when each came, and by its own clock when it was due and called.
+    """The callbacks of known lateness of a timer: when each began, and by its own clock when it was due and began.
 
     All int64 of shape (n,); `cuts` are as in a stream. `skipped` counts whole periods without a call, seen from the
     grid of the timer. `why_not` are sentences on why some or all calls are missing.
@@ -141,17 +194,24 @@ def known_period_ns(log: TimerLog) -> int | None:
 
 
 def lateness(log: TimerLog, offsets: ClockOffsets, store: RowStore) -> Lateness:
-    """The calls whose lateness is certain. Raises NoRoom."""
+    """The callbacks whose lateness is certain. Raises NoRoom."""
+    if log.is_mixed or (log.calls and not log.rows):
+        return _none("no probe sees where its callback begins: rclcpp may queue it for another thread")
     period_ns = known_period_ns(log)
     if period_ns is None:
         return _none("period not known: none was told, or its calls lie more than 10 % from it")
     if not any(np.any(piece[:, 1] != NOT_SEEN_NS) for piece in log.rows.pieces()):
+        if log.unpaired:
+            return _none("not known which of its calls its callbacks belong to")
         return _none("no probe tells when its calls were due")
     if log.clock is None:
         return _none("the clock of its grid is not known")
     certain = _CertainCalls(log, log.clock, period_ns, offsets)
     at_ns, expected_ns, real_ns, cuts = collected(store.folder, certain.pieces(), 4)
     why_not = []
+    if log.unpaired:
+        callbacks = counted(log.unpaired, "callback")
+        why_not.append(f"no lateness of {callbacks}: not known which call of the timer they belong to")
     if certain.step_ns:
         step = f"{certain.step_ns / 1e6:.3g} ms"
         why_not.append(f"its clock ({log.clock}) was set by up to {step}: no lateness around that")

@@ -8,7 +8,7 @@ from rtrun.flows.messages import Endpoint, Reception
 from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import LivingProcess, LivingThing, numbered
 from rtrun.flows.threads import ObservedThread, OpenTurn
-from rtrun.flows.timers import LivingTimer, timer_name
+from rtrun.flows.timers import LivingTimer, TimerCall, timer_name
 from rtrun.probes.hits import Hit
 
 _ENDS = frozenset(("take", "timer_call", "callback_begin", "wait", "request_take", "response_take"))
@@ -42,17 +42,21 @@ class TurnRecord:
         if event == "guard_trigger" and turn is not None:
             turn.triggers, turn.triggered_ns = turn.triggers + 1, hit.at_ns
         elif event == "callback_begin" and turn is not None and "topic" not in hit.values and not turn.has_callback:
-            turn.has_callback = True
+            turn.has_callback, turn.awaits_callback = True, False
         elif event == "callback_end" and turn is not None:
             self._end(turn, thread, hit.at_ns)
         elif event in _ENDS:
-            if turn is not None:
+            if turn is not None and turn.awaits_callback:
+                thread.turn = None
+            elif turn is not None:
                 self._end(turn, thread, _end_ns(turn, hit, thread))
             # Each thread keeps one name, and many are kept for ended turns.
             name = self._name(hit, thread)[:CALLBACK_CHARACTERS_MAX]
             if name:
-                has_callback = event == "callback_begin" and "topic" not in hit.values
-                thread.turn = OpenTurn(hit.at_ns, hit.cpu, name, has_callback)
+                is_callback = event == "callback_begin"
+                awaits = not is_callback and "is_begin" not in hit.values and thread.process.shows_callbacks
+                has_callback = is_callback and "topic" not in hit.values
+                thread.turn = OpenTurn(hit.at_ns, hit.cpu, name, has_callback, awaits)
 
     def _end(self, turn: OpenTurn, thread: ObservedThread, end_ns: int | None) -> None:
         thread.turn = None
@@ -66,8 +70,8 @@ class TurnRecord:
                 return f"{topic} of {self._label(thread.process, thread.process.label)}"
             owner = thread.callbacks[-1].callback.owner if thread.callbacks else None
             return self._name_of(owner, thread.process)
-        if isinstance(thread.cause, LivingTimer):
-            return self._name_of(thread.cause, thread.process)
+        if isinstance(thread.cause, TimerCall) and hit.event == "timer_call":
+            return self._name_of(thread.cause.timer, thread.process)
         if isinstance(thread.cause, Reception) and hit.event == "take":
             return self._name_of(thread.cause.endpoint, thread.process)
         return ""

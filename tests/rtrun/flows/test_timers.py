@@ -60,6 +60,144 @@ def drifting(at_ns):
     return 77 * S + at_ns // 10_000
 
 
+def executed(call, late_ns, *, tid=1, is_told=True, callback=0xF0):
+    """The thread that spins takes a queued call, and its callback takes 2 ms."""
+    at_ns, expected_ns = call.values["expected_ns"] + late_ns, call.values["expected_ns"]
+    told = [hit(at_ns - 10, "timer_execute", tid=tid, timer=call.values["timer"], expected_ns=expected_ns)] * is_told
+    return [
+        *told,
+        hit(at_ns, "callback_begin", tid=tid, callback=callback, intra_process=0),
+        hit(at_ns + 2 * MS, "callback_end", tid=tid, callback=callback),
+    ]
+
+
+def queued(number, late, **values):
+    """A timer of EventsExecutor: thread 9 calls it in time and queues its callback, which begins late on thread 1."""
+    return [
+        each
+        for place, call in enumerate(calls(number, late=lambda call: 900))
+        for each in (call._replace(tid=9), *executed(call, late(place), **values))
+    ]
+
+
+MADE = [
+    hit(1, "timer_init", timer=0xC0, period_ns=PERIOD_NS),
+    hit(2, "timer_callback_added", timer=0xC0, callback=0xF0),
+    hit(3, "timer_linked", timer=0xC0, node=1),
+]
+
+
+def late_of(stream):
+    return (stream.columns["real_ns"] - stream.columns["expected_ns"]).tolist()
+
+
+def up_to_three_periods(call):
+    """Every tenth callback waits behind another one of the thread that spins, which takes 28 ms."""
+    return (28 * MS, 18 * MS + 10, 8 * MS + 20)[call % 10] if call % 10 < 3 else 1000
+
+
+@pytest.mark.parametrize(
+    ("made", "is_told"),
+    [([], True), (MADE, True), (MADE, False)],
+    ids=["ran before, Jazzy", "begins, Jazzy", "begins, Iron"],
+)
+def test_the_lateness_of_a_queued_timer_ends_where_its_callback_begins(made, is_told):
+    """Not where another thread calls it, which is in time."""
+    late = [up_to_three_periods(call) for call in range(200)]
+    (stream,) = timers(accumulate([*made, *queued(200, up_to_three_periods, is_told=is_told)]))
+    assert late_of(stream) == late and stream.remarks == ()
+    assert stream.columns["timestamp_ns"].tolist() == [call * PERIOD_NS + late[call - 1] for call in range(1, 201)]
+    assert stream.counts == {"calls": 200, "measured": 200, "skipped": 0}
+
+
+def test_a_queued_timer_whose_callbacks_no_probe_names_has_no_values():
+    """Iron does not tell whose callback begins, if the program ran before. The calls alone would say: in time."""
+    (stream,) = timers(accumulate(queued(200, up_to_three_periods, is_told=False)))
+    assert stream.columns["timestamp_ns"].size == 0 and stream.counts == {"calls": 200, "measured": 0}
+    assert stream.remarks == (
+        "no lateness: no probe sees where its callback begins: rclcpp may queue it for another thread",
+    )
+
+
+def test_a_program_of_rclcpp_that_begins_no_callback_has_no_values():
+    """Its thread that spins hangs; the other one goes on to call the timer in time."""
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "controller", libraries=("/opt/ros/iron/lib/librclcpp.so",))])
+    observed.feed(calls(200))
+    (stream,) = timers(observed)
+    assert stream.columns["timestamp_ns"].size == 0 and "no probe sees where" in stream.remarks[0]
+
+
+def test_calls_that_were_taken_for_begins_are_forgotten():
+    """That a program is of rclcpp shows late, if its libraries are not known."""
+    (stream,) = timers(accumulate([*calls(50, late=lambda call: 0), *queued(200, up_to_three_periods)[200:]]))
+    late = [up_to_three_periods(call) for call in range(50, 200)]
+    assert late_of(stream) == late and stream.counts["calls"] == 200
+
+
+def test_a_callback_on_the_thread_of_its_call_is_its_own():
+    """As all executors but EventsExecutor do, and that one, too, if it has a thread for timers."""
+    hits = [
+        each
+        for place, call in enumerate(calls(100, late=lambda call: 900))
+        for each in (call, *executed(call, 1000 + place, is_told=False))
+    ]
+    (stream,) = timers(accumulate(hits))
+    assert late_of(stream) == [1000 + place for place in range(100)]
+
+
+def test_two_threads_that_call_a_timer_begin_their_own_callbacks():
+    """MultiThreadedExecutor, reentrant: a call may come before the callback of the one before begins."""
+    hits = []
+    for first, second in zip(*[iter(calls(100, late=lambda call: 900))] * 2, strict=True):
+        hits += [first, second._replace(tid=2), *executed(first, 11 * MS), *executed(second, 10_500_000, tid=2)]
+    (stream,) = timers(accumulate(hits))
+    assert sorted(late_of(stream)) == [10_500_000] * 50 + [11 * MS] * 50
+
+
+def test_calls_that_were_queued_before_are_not_taken_for_later_ones():
+    """Three callbacks wait when the observation begins: were they those of the next calls, all would be in time."""
+    seen = [one for one in sorted(queued(100, lambda call: 31 * MS)) if one.at_ns > 5 * PERIOD_NS]
+    (stream,) = timers(accumulate(seen))
+    assert late_of(stream) == [31 * MS] * 99
+
+
+def test_a_queued_callback_that_is_due_off_the_grid_is_not_believed():
+    """In a release whose data is laid out in another way, what is read there is not when it was due."""
+    off = [
+        one._replace(values={**one.values, "expected_ns": one.values["expected_ns"] + 1})
+        if one.event == "timer_execute"
+        else one
+        for one in queued(100, lambda call: 31 * MS)
+    ]
+    (stream,) = timers(accumulate(off))
+    assert set(stream.columns) == {"timestamp_ns", "segment"} and stream.counts["measured"] == 100
+    assert stream.remarks[0] == "no lateness: not known which of its calls its callbacks belong to"
+
+
+def test_after_a_gap_the_order_does_not_tell_which_call_a_callback_belongs_to():
+    missed = gap(0, 0)._replace(from_ns=50 * PERIOD_NS - 1, until_ns=52 * PERIOD_NS)
+    for is_told, measured in ((True, 98), (False, 46)):
+        hits = [*MADE, *queued(100, lambda call: 31 * MS, is_told=is_told), missed]
+        (stream,) = timers(accumulate(hits))
+        assert late_of(stream) == [31 * MS] * measured
+        unknown = ("no lateness of 52 callbacks: not known which call of the timer they belong to",)
+        assert stream.remarks == (() if is_told else unknown)
+
+
+def test_a_call_whose_callback_never_begins_shifts_no_later_one():
+    """It was cancelled, or its executor ended."""
+    hits = queued(100, lambda call: MS)
+    dropped = [one for place, one in enumerate(hits) if not 40 <= place < 80 or one.event == "timer_call"]
+    (stream,) = timers(accumulate(dropped))
+    assert set(late_of(stream)) == {MS} and stream.counts["calls"] == 100 and len(late_of(stream)) == 90
+
+
+def test_jitter_is_that_of_the_callbacks():
+    (stream,) = timers(accumulate(queued(100, lambda call: 3 * MS * (call % 2) + 1000)))
+    assert set(np.diff(stream.columns["timestamp_ns"])) == {7 * MS, 13 * MS}
+
+
 def set_at_half(at_ns):
     return drifting(at_ns) + 50 * MS * (at_ns >= 500 * PERIOD_NS)
 

@@ -35,6 +35,14 @@ CASES = {
          seen(160, "callback_begin", callback=6), seen(170, "callback_end", callback=6), seen(190, WAIT)],
         [(110, 140, MESSAGE), (160, 170, "a callback of /listener")],
     ),
+    # Thread 9 calls the timer, and another one its callback.
+    "EventsExecutor": (
+        [seen(90, "callback_begin", callback=5), seen(95, "callback_end", callback=5),
+         *(timer(at)._replace(tid=9) for at in (100, 200)),
+         seen(210, "timer_execute", timer=7, expected_ns=100), seen(211, "callback_begin", callback=6),
+         seen(220, "callback_end", callback=6), timer(300)._replace(tid=9)],
+        [(90, 95, "a callback of /listener"), (211, 220, TIMER)],
+    ),
     "roscpp": (
         [seen(110, "callback_begin", callback=5, topic="/a"), timer(150)], [(110, None, "/a of /listener")]
     ),

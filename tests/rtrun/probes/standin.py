@@ -6,7 +6,7 @@ import platform
 import re
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 import pytest
@@ -26,19 +26,20 @@ LIBRARIES = ("tracetools", "rcl")
 EVENTS = [each for each in events() if each not in ("wait", "guard_trigger", "request_take", "response_take")]
 
 
-def build(folder: Path, *compiler: str) -> Path:
-    """Compile the stand-in with its libraries into a folder, for this machine unless a compiler is given."""
+def build(folder: Path, *compiler: str, source: Path = SOURCE, libraries: Sequence[str] = LIBRARIES) -> Path:
+    """Compile a stand-in with its libraries into a folder, for this machine unless a compiler is given."""
     if not compiler:
         # As Ubuntu 24.04 compiles its packages, and Debian does not.
         ubuntu = ("-fcf-protection=branch", "-fno-omit-frame-pointer", "-mno-omit-leaf-frame-pointer")
         compiler = ("cc", *(ubuntu if platform.machine() == "x86_64" else ()))
     folder.mkdir(exist_ok=True)
-    for name in LIBRARIES:
+    for name in libraries:
         library = ["-shared", "-fPIC", f"-DLIBRARY_{name}", "-o", f"{folder}/lib{name}.so"]
-        subprocess.run([*compiler, "-O2", *library, SOURCE], check=True)
-    links = [f"-L{folder}", *(f"-l{name}" for name in LIBRARIES), "-Wl,--no-as-needed,-rpath,$ORIGIN"]
-    subprocess.run([*compiler, "-O1", "-o", folder / "standin", SOURCE, *links[-1:], *links[:-1]], check=True)
-    return folder / "standin"
+        subprocess.run([*compiler, "-O2", *library, source], check=True)
+    links = [f"-L{folder}", *(f"-l{name}" for name in libraries), "-Wl,--no-as-needed,-rpath,$ORIGIN"]
+    program = folder / source.stem
+    subprocess.run([*compiler, "-O1", "-pthread", "-o", program, source, *links[-1:], *links[:-1]], check=True)
+    return program
 
 
 @contextlib.contextmanager

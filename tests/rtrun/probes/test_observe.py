@@ -17,6 +17,9 @@ from probes import standin as standins
 from probes.standin import EVENTS, SCRIPTS, TRACING, find, left, observed, running, tell, wait_until_nothing_is_left
 from proxy import proxy_to
 
+from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.streams import streams
+from rtrun.kinds.timer import STREAM as TIMER
 from rtrun.probes.libraries.description import events
 from rtrun.probes.placement import place
 from rtrun.probes.programs import find_programs
@@ -87,6 +90,26 @@ def test_every_message_is_seen_at_both_ends(link, standin):
     late_ns = [hit.at_ns - hit.values["expected_ns"] for hit in calls[1:]]
     assert min(late_ns) > 0 and sorted(late_ns)[len(late_ns) // 2] < 10**9
     assert left() == []
+
+
+def test_a_queued_callback_of_a_timer_is_late_by_when_it_begins(here, tmp_path):
+    """Though its timer is called in time: as rclcpp's EventsExecutor does, which it says itself as well."""
+    libraries = ("tracetools", "rcl", "rclcpp")
+    program = standins.build(tmp_path / "queued", source=Path(__file__).with_name("queued.c"), libraries=libraries)
+    accumulator = FlowAccumulator(begin_ns=0)
+    with running(program, 1000) as process:
+        accumulator.observe(each.program for each in find(here, process.pid))
+        for each in observed(here, process.pid, for_s=6):
+            if isinstance(each, Batch):
+                accumulator.feed([*each.hits, *each.gaps])
+        told = dict(map(int, line.split()) for line in iter(process.stdout.readline, "done\n"))
+    (stream,) = (each for each in streams(accumulator) if each.kind is TIMER)
+    late = dict(zip(stream.columns["expected_ns"].tolist(), stream.columns["real_ns"].tolist(), strict=True))
+    assert len(late) > 500
+    # A busy machine may do something else between the probe and the program's own look at the clock.
+    differ = sorted(told[due_ns] - begun_ns for due_ns, begun_ns in late.items())
+    assert differ[0] >= 0 and differ[len(differ) // 2] < 500_000
+    assert sum(begun_ns - due_ns > 10**7 for due_ns, begun_ns in late.items()) > len(late) / 20
 
 
 def test_on_a_small_target(here, standin, tmp_path):
