@@ -6,7 +6,7 @@ from rtrun.flows.messages import SUBSCRIPTIONS, Endpoint, Reception
 from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import LivingProcess, LivingThing, numbered
 from rtrun.flows.recorder import FlowRecorder
-from rtrun.flows.threads import CALLBACKS, CallbackLog, Cause, LivingCallback, ObservedThread, OpenCallback
+from rtrun.flows.threads import CALLBACKS, CallbackLog, Cause, LivingCallback, ObservedThread, OpenCallback, owner_of
 from rtrun.flows.timers import LEAST_CALLS, TIMERS, LivingTimer, TimerCall, TimerLog
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.probes.hits import Hit
@@ -195,11 +195,7 @@ class CallRecord:
             if not self._state.add_thing():
                 return
             callback = CALLBACKS.of(thread.process)[handle] = LivingCallback(thread.process)
-        # roscpp tells the topic: another thread took the message.
-        is_told = "topic" in hit.values
-        if not is_told:
-            self._shows_callbacks(thread.process)
-        message = cause if not is_told and callback.is_of(cause) and isinstance(cause, Reception) else None
+        is_handled = self._is_handled(cause, callback, hit)
         if isinstance(callback.owner, LivingTimer):
             if not callback.is_mixed:
                 self._begin_timer(callback.owner, cause, hit.at_ns)
@@ -207,10 +203,32 @@ class CallRecord:
                 callback.owner.log.is_mixed = True
         if len(thread.callbacks) >= _NESTED_MAX:
             thread.callbacks.clear()
-        thread.callbacks.append(OpenCallback(callback, hit.at_ns, message))
+        message = cause if is_handled and isinstance(cause, Reception) else None
+        is_direct = not callback.is_mixed and callback.owner is not None and callback.owner is owner_of(cause)
+        is_direct = is_direct and hit.values.get("intra_process") != 1
+        thread.callbacks.append(OpenCallback(callback, hit.at_ns, message, is_direct))
+
+    def _is_handled(self, cause: Cause | None, callback: LivingCallback, begin: Hit) -> bool:
+        """Whether a callback that begins handles what its thread took or called directly before."""
+        # roscpp tells the topic: another thread took the message.
+        if "topic" in begin.values:
+            return False
+        process = callback.process
+        self._shows_callbacks(process)
+        is_by_pointer = begin.values.get("intra_process") == 1
+        if is_by_pointer and not process.passes_pointers:
+            process.passes_pointers = True
+            for each in CALLBACKS.of(process).values():
+                each.forget_guess()
+        is_handled = not is_by_pointer and callback.is_of(cause)
+        # Of unknown callbacks, any may be another's.
+        is_others = process.passes_pointers or callback.owner not in (None, owner_of(cause))
+        if isinstance(cause, Reception) and is_others and not is_handled:
+            cause.is_left()
+        return is_handled
 
     def _end(self, hit: Hit, thread: ObservedThread) -> None:
-        thread.cause = None
+        thread.turns_to(None)
         handle = hit.values.get("callback")
         opened = None
         # The callbacks above it ended by an exception.

@@ -142,6 +142,9 @@ class LiveFigures:
         shown = self._shown.setdefault(source.record, _Shown(BinnedValues()))
         limit_ns = self._limits.get((kind, source.name))
         new = source.since(shown.rows)
+        if new.rows < shown.rows:
+            # What was taken for its values was none.
+            shown = self._shown[source.record] = _Shown(BinnedValues())
         if self._on_values is not None and new.values_ns.size:
             self._on_values(NewValues(source.record, kind, new.values_ns, new.times_ns, shown.figures))
         figures = shown.figures

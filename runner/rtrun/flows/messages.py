@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from rtfiles.output import counted
 from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import HandleTable, LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
@@ -9,6 +10,31 @@ from rtrun.kinds.messages import NOT_SEEN_NS
 
 Payload = tuple[int, int, int]
 """What tells messages of roscpp apart: the first eight bytes, the next four, and the length."""
+
+
+class Copies:
+    """Messages that a subscriber took from its own process, and whose callback was not seen to begin.
+
+    With intra-process communication rclcpp hands the message itself to the callback, by pointer, which no probe sees.
+    If anybody outside subscribes, too, the middleware brings a copy, which rclcpp takes and discards.
+    """
+
+    __slots__ = ("_number", "_process")
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._process: LivingProcess | None = None
+
+    def add(self, process: LivingProcess) -> None:
+        self._number += 1
+        self._process = process
+
+    def __len__(self) -> int:
+        return self._number if self._process is not None and self._process.passes_pointers else 0
+
+    def __str__(self) -> str:
+        taken = counted(len(self), "message")
+        return f"no values: rclcpp passes messages on by pointer, which no probe sees, and {taken} taken may be copies"
 
 
 class End:
@@ -19,8 +45,8 @@ class End:
     """
 
     __slots__ = (
-        "ambiguous", "cuts", "duplicates", "forgotten", "historic", "label", "latest", "received", "times", "topic",
-        "unmatched",
+        "ambiguous", "copies", "cuts", "duplicates", "forgotten", "historic", "label", "latest", "received", "times",
+        "topic", "unmatched",
     )  # fmt: skip
 
     def __init__(self, topic: str, label: str, store: RowStore) -> None:
@@ -29,6 +55,7 @@ class End:
         self.times = store.rows()
         self.cuts = store.rows()
         self.latest: tuple[int, Endpoint] | None = None
+        self.copies = Copies()
         self.received = self.duplicates = self.ambiguous = self.historic = self.unmatched = self.forgotten = 0
 
     def add(self, at_ns: int, endpoint: "Endpoint", epoch: int) -> int:
@@ -90,6 +117,19 @@ class Reception:
         self.pair: MessagePair | None = None
         self.row = 0
 
+    @property
+    def is_own(self) -> bool:
+        """Whether it may come from its own process, and thus be a copy of what that passes on by pointer."""
+        return self.publication is None or self.publication.endpoint.process is self.endpoint.process
+
+    def is_left(self) -> None:
+        """Its thread did not call back for it, but did something else."""
+        process = self.endpoint.process
+        if self.is_own and process.shows_callbacks:
+            self.endpoint.end.copies.add(process)
+            if self.pair is not None:
+                self.pair.copies.add(process)
+
     def ended(self, at_ns: int) -> None:
         """Its callback has ended; of several the last one counts."""
         self.end_ns = at_ns
@@ -130,7 +170,7 @@ class MessagePair:
     that of `link`.
     """
 
-    __slots__ = ("_linked", "ambiguous", "duplicates", "link", "links", "publisher", "rows", "subscriber")
+    __slots__ = ("_linked", "ambiguous", "copies", "duplicates", "link", "links", "publisher", "rows", "subscriber")
 
     def __init__(self, publisher: End, subscriber: End, store: RowStore) -> None:
         self.publisher = publisher
@@ -140,6 +180,7 @@ class MessagePair:
         self.rows = store.rows(4)
         self.ambiguous = store.rows()
         """Indices of publications that may have been received, each once."""
+        self.copies = Copies()
         self.duplicates = 0
         self._linked = 0
 

@@ -23,12 +23,13 @@ Handle = int | str
 class LivingProcess:
     """A process from its first hit to its end. `label` names its node, or the program if no node is known.
 
-    `has_shown_callbacks`: a hit of rclcpp was seen, which shows where callbacks begin.
+    `has_shown_callbacks`: a hit of rclcpp was seen, which shows where callbacks begin. `passes_pointers`: messages
+    were seen to be passed on within it (intra-process communication).
     """
 
     __slots__ = (
-        "has_own_name", "has_shown_callbacks", "is_alive", "label", "labels", "names_of_nodes", "pid", "program",
-        "tables",
+        "has_own_name", "has_shown_callbacks", "is_alive", "label", "labels", "names_of_nodes", "passes_pointers",
+        "pid", "program", "tables",
     )  # fmt: skip
 
     def __init__(self, pid: int, program: ObservedProgram | None, *, has_own_name: bool = False) -> None:
@@ -39,7 +40,7 @@ class LivingProcess:
         self.label = unknown if program is None else label_of(program)
         self.is_alive = True
         self.has_own_name = has_own_name
-        self.has_shown_callbacks = False
+        self.has_shown_callbacks = self.passes_pointers = False
         self.names_of_nodes: dict[Handle, str] = {}
         self.labels: dict[str, str] = {}
         """By names of its nodes: these names, numbered where another process has the same."""

@@ -12,6 +12,11 @@ Cause = Reception | TimerCall
 _CALLS_WITHOUT_CAUSE = 8
 
 
+def owner_of(cause: Cause | None) -> LivingThing | None:
+    """The subscription or timer of what a thread took or called."""
+    return cause.timer if isinstance(cause, TimerCall) else cause.endpoint if cause is not None else None
+
+
 class CallbackLog:
     """The calls of a callback on one thread, over all restarts of its program. `rows`: begin and end."""
 
@@ -29,15 +34,16 @@ class LivingCallback(LivingThing):
     """A callback of a living process. It gets a subject once its owner is known, or once that will not be known.
 
     `owner` is the subscription or timer whose callback it is. `is_linked`: rclcpp has named the owner. Otherwise the
-    first call shows it. `is_mixed`: it was called after several owners, so it is not known what it handles.
+    first call shows it. `is_guess`: only copies have shown it, if they are copies. `is_mixed`: it was called after
+    several owners, so it is not known what it handles.
     """
 
-    __slots__ = ("calls", "early", "is_linked", "is_mixed", "logs", "named", "number", "owner")
+    __slots__ = ("calls", "early", "is_guess", "is_linked", "is_mixed", "logs", "named", "number", "owner")
 
     def __init__(self, process: LivingProcess) -> None:
         super().__init__(process)
         self.owner: LivingThing | None = None
-        self.is_linked = self.is_mixed = False
+        self.is_guess = self.is_linked = self.is_mixed = False
         self.named: tuple[str, str] | None = None
         """The label of its node, and its topic or timer."""
         self.number = 0
@@ -49,31 +55,49 @@ class LivingCallback(LivingThing):
         """Whether a call directly after `cause` handles that; the first cause shows whose callback it is."""
         if cause is None:
             return False
-        owner = cause.endpoint if isinstance(cause, Reception) else cause.timer
+        owner = owner_of(cause)
         if self.is_linked:
             return self.owner is owner
+        is_guess = isinstance(cause, Reception) and cause.is_own
+        if is_guess and self.process.passes_pointers and self.owner is not owner:
+            return False
         if self.owner is None:
-            self.owner = owner
+            self.owner, self.is_guess = owner, is_guess
         elif self.owner is not owner:
             self.is_mixed = True
-        return not self.is_mixed
+        self.is_guess &= is_guess
+        return not self.is_mixed and self.is_certain
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether its owner is no guess: several calls have not shown that its process passes on pointers."""
+        return not self.is_guess or self.calls >= _CALLS_WITHOUT_CAUSE
+
+    def forget_guess(self) -> None:
+        """Its process passes on pointers: what it took before a call is no owner."""
+        if self.is_guess:
+            self.owner, self.is_guess, self.is_mixed = None, False, False
 
     @property
     def is_ready(self) -> bool:
         """Whether it can be named: its subject is known, or several calls have not shown it."""
         known = self.owner is not None and (not isinstance(self.owner, LivingTimer) or self.owner.log is not None)
-        return known or self.calls >= _CALLS_WITHOUT_CAUSE
+        return (known and self.is_certain) or self.calls >= _CALLS_WITHOUT_CAUSE
 
 
 CALLBACKS = HandleTable[LivingCallback]()
 
 
 class OpenCallback(NamedTuple):
-    """A callback that has begun: `message` is what it handles, if that is certain."""
+    """A callback that has begun. `message` is what it handles, if that is certain.
+
+    `is_direct`: it belongs to what its thread took or called directly before, as far as is known.
+    """
 
     callback: LivingCallback
     begin_ns: int
     message: Reception | None
+    is_direct: bool
 
 
 @dataclass(slots=True)
@@ -129,20 +153,26 @@ class ObservedThread:
         self.taken: int | None = None
         """Messages since it last waited; None: it was never seen to wait, or has done something else since."""
 
+    def turns_to(self, cause: Cause | None) -> None:
+        """It does something else: nothing was called back for what it took before."""
+        if isinstance(self.cause, Reception):
+            self.cause.is_left()
+        self.cause = cause
+
     def takes(self, reception: Reception) -> None:
-        self.cause = reception
+        self.turns_to(reception)
         if self.taken is not None:
             self.taken += 1
         if self.triggers is not None:
             self.triggers = 0
 
     def calls_timer(self, call: TimerCall) -> None:
-        self.cause = call
+        self.turns_to(call)
         self.taken = None
 
     def waits(self) -> None:
         self.has_waited = True
-        self.cause = None
+        self.turns_to(None)
         self.taken = 0
 
     def triggers_guard(self) -> None:
@@ -150,7 +180,7 @@ class ObservedThread:
 
     def does_other_work(self) -> None:
         """The thread does something that is neither a publication nor one of the above."""
-        self.cause = None
+        self.turns_to(None)
         self.taken = None
 
     @property

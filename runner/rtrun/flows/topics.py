@@ -111,7 +111,7 @@ class TopicRecord(MessageRecord):
 
     def _take(self, hit: Hit, thread: ObservedThread) -> None:
         if not hit.values.get("taken", 1):
-            thread.cause = None
+            thread.turns_to(None)
             return
         if hit.values.get("topic") in _OF_ROS:
             thread.does_other_work()

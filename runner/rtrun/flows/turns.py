@@ -41,12 +41,14 @@ class TurnRecord:
         event, turn = hit.event, thread.turn
         if event == "guard_trigger" and turn is not None:
             turn.triggers, turn.triggered_ns = turn.triggers + 1, hit.at_ns
-        elif event == "callback_begin" and turn is not None and "topic" not in hit.values and not turn.has_callback:
+        elif event == "callback_begin" and turn is not None and not turn.has_callback and _is_direct(thread):
             turn.has_callback, turn.awaits_callback = True, False
         elif event == "callback_end" and turn is not None:
             self._end(turn, thread, hit.at_ns)
         elif event in _ENDS:
-            if turn is not None and turn.awaits_callback:
+            is_queued = event == "callback_begin" and "topic" not in hit.values
+            if turn is not None and not turn.has_callback and (turn.awaits_callback or is_queued):
+                # It was discarded, or is called back for elsewhere.
                 thread.turn = None
             elif turn is not None:
                 self._end(turn, thread, _end_ns(turn, hit, thread))
@@ -84,6 +86,11 @@ class TurnRecord:
         if owner.log is None:  # as its log will have it
             return f"{timer_name(owner.period_ns)} of {self._label(process, process.node(owner.node))}"
         return f"{numbered(owner.log.name, owner.log.number)} of {owner.log.label}"
+
+
+def _is_direct(thread: ObservedThread) -> bool:
+    """Whether the callback that a thread has just begun belongs to what it took or called before."""
+    return bool(thread.callbacks) and thread.callbacks[-1].is_direct
 
 
 def _end_ns(turn: OpenTurn, hit: Hit, thread: ObservedThread) -> int | None:

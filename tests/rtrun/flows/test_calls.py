@@ -7,6 +7,7 @@ from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.flows.streams import streams
 from rtrun.kinds.callback import STREAM as CALLBACK
+from rtrun.kinds.interval import STREAM as INTERVAL
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.messages import STREAM as MESSAGES
 from rtrun.kinds.path import STREAM as PATHS
@@ -92,6 +93,90 @@ SEVERAL = [
 @pytest.mark.parametrize(("hits", "expected", "unknown"), [row[1:] for row in SEVERAL], ids=[row[0] for row in SEVERAL])
 def test_what_is_published_in_a_callback(hits, expected, unknown):
     assert reactions(accumulate(hits)) == (expected, unknown)
+
+
+def inner(call, *, first=True, other=(), own=0):
+    """Process 2 publishes /scan for itself, by pointer, and for others outside: the copy is taken and discarded.
+
+    The copy comes before its callback begins, or after it has ended; `other` is what the thread does next.
+    """
+    at_ns = (call + 1) * 10 * MS
+    copy = got(at_ns + MS, at_ns)
+    by_pointer = [begin(at_ns + 2 * MS, 0xF3, intra_process=1), out(at_ns + 2 * MS + 1), end(at_ns + 3 * MS, 0xF3)]
+    outside = got(at_ns + MS, at_ns, pid=3, endpoint=0xB3)
+    if not first:
+        copy = copy._replace(at_ns=at_ns + 4 * MS)
+    return sorted([sent(at_ns, pid=2), outside, copy, *by_pointer, *other])
+
+
+def service(call):
+    at_ns = (call + 1) * 10 * MS + 5 * MS
+    return [begin(at_ns, 0xF5, intra_process=0), out(at_ns + 1), end(at_ns + 2, 0xF5)]
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_copies_that_rclcpp_discards_are_no_messages(first):
+    """As subscription.hpp does with what came from a publisher of its own process."""
+    recorder = FlowRecorder(10_000)
+    observed = accumulate([one for call in range(50) for one in inner(call, first=first, other=service(call))],
+                          recorder=recorder)  # fmt: skip
+    found = {one.identity["subscriber"]: one for one in of_kind(observed, MESSAGES)}
+    assert found["/driver"].counts["received"] == 50 and found["/driver"].counts["lost"] == 0
+    assert all(column.size == 0 for column in found["/detector"].columns.values())
+    assert found["/detector"].counts == {"copies": 50}
+    assert found["/detector"].remarks[0].startswith("no values: rclcpp passes messages on by pointer")
+    ends = {(one.identity["end"], one.identity["node"]): one for one in of_kind(observed, INTERVAL)}
+    assert ends["subscriber", "/detector"].columns["timestamp_ns"].size == 0
+    assert ends["subscriber", "/driver"].columns["timestamp_ns"].size == 50
+    # Neither callback has the name of the topic, and what they publish comes from nothing known.
+    assert {one.identity["callback"] for one in of_kind(observed, CALLBACK)} == {"unknown", "unknown#2"}
+    assert reactions(observed) == ([], 100)
+
+
+def test_copies_are_no_messages_of_a_callback_that_is_known():
+    made = [
+        event(1, "subscription_init", subscription=10, node=1, endpoint=0xB0, topic="/scan", depth=1),
+        event(2, "subscription_linked", subscription=10, object=21),
+        event(3, "callback_added", object=21, callback=0xF3),
+        event(4, "subscription_linked", subscription=10, object=20),
+        event(5, "callback_added", object=20, callback=0xF0),
+    ]
+    observed = accumulate([*made, *(one for call in range(50) for one in inner(call))])
+    found = {one.identity["subscriber"]: one for one in of_kind(observed, MESSAGES)}
+    assert found["/detector"].counts == {"copies": 50}
+    assert {one.identity["callback"] for one in of_kind(observed, CALLBACK)} == {"/scan"}
+    assert reactions(observed) == ([], 50)
+
+
+def test_messages_from_outside_are_real_where_others_are_copies():
+    """Process 1 publishes for a subscription of process 2 that also has a publisher in its own process."""
+    hits = []
+    for call in range(50):
+        at_ns = (call + 1) * 10 * MS
+        outside = [sent(at_ns + 5 * MS, pid=1), got(at_ns + 6 * MS, at_ns + 5 * MS)]
+        called = [begin(at_ns + 6 * MS + 1, intra_process=0), out(at_ns + 7 * MS), end(at_ns + 8 * MS)]
+        hits += inner(call, other=outside + called)
+    observed = accumulate(hits)
+    found = {(one.identity["publisher"], one.identity["subscriber"]): one for one in of_kind(observed, MESSAGES)}
+    assert found["/lidar", "/detector"].counts["received"] == 50
+    assert found["/lidar", "/detector"].columns["callback_end_ns"].size == 50
+    assert found["/detector", "/detector"].counts == {"copies": 50}
+    assert reactions(observed) == ([2 * MS] * 50, 50)
+
+
+def test_a_process_without_pointers_receives_its_own_messages():
+    """Two nodes in one process, without intra-process communication."""
+    hits = []
+    for call in range(50):
+        at_ns = (call + 1) * 10 * MS
+        hits += [sent(at_ns, pid=2), got(at_ns + MS, at_ns), begin(at_ns + MS + 1, intra_process=0)]
+        hits += [out(at_ns + 2 * MS), end(at_ns + 3 * MS)]
+    observed = accumulate(hits)
+    (messages,) = of_kind(observed, MESSAGES)
+    assert messages.counts["received"] == 50
+    assert [one.identity["callback"] for one in of_kind(observed, CALLBACK)] == ["/scan"]
+    # Until some calls have not shown that they are copies, nothing counts as coming from them.
+    assert reactions(observed) == ([2 * MS] * 42, 8)
 
 
 def test_a_path_of_three_topics():

@@ -35,6 +35,12 @@ CASES = {
          seen(160, "callback_begin", callback=6), seen(170, "callback_end", callback=6), seen(190, WAIT)],
         [(110, 140, MESSAGE), (160, 170, "a callback of /listener")],
     ),
+    "a copy that rclcpp discards": (
+        [seen(90, "callback_begin", callback=5), seen(95, "callback_end", callback=5), take(110, 1),
+         seen(120, "callback_begin", callback=6, intra_process=1), seen(130, "callback_end", callback=6), take(140, 2),
+         seen(150, WAIT)],
+        [(90, 95, "a callback of /listener"), (120, 130, "a callback of /listener")],
+    ),
     # Thread 9 calls the timer, and another one its callback.
     "EventsExecutor": (
         [seen(90, "callback_begin", callback=5), seen(95, "callback_end", callback=5),

@@ -8,10 +8,11 @@ import numpy as np
 from rtfiles.output import counted
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.messages import End
-from rtrun.flows.observed.source import Growth, Identity, cuts_of, segments, silent_ns
+from rtrun.flows.observed.source import Growth, Identity, cuts_of, segments, silent_ns, without_values
 from rtrun.flows.topics import PUBLISHER
 from rtrun.flows.values import Stream
 from rtrun.kinds.interval import STREAM as STREAM
+from rtrun.kinds.values import no_values
 
 
 def sources(observed: FlowAccumulator) -> Iterator["EndSource"]:
@@ -39,6 +40,8 @@ class EndSource:
 
     def stream(self) -> Stream:
         end, store = self.record, self.observed.state.store
+        if end.copies:
+            return without_values(STREAM, self, end.copies)
         cuts = cuts_of(end.cuts, store)
         (times,) = end.times.columns()
         counts, remarks = self._fates()
@@ -55,6 +58,8 @@ class EndSource:
 
     def since(self, row: int) -> Growth:
         end = self.record
+        if end.copies:
+            return Growth(0, no_values(), no_values(), 0)
         times = end.times.read(max(row - 1, 0))[:, 0]
         cuts = end.cuts.between(row, len(end.times))
         # The step to the first row after a cut does not count.

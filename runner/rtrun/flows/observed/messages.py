@@ -7,9 +7,10 @@ from rtfiles.output import counted
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.decided import DecidedMessages
 from rtrun.flows.messages import PUBLISHED, RECEIVED, MessagePair
-from rtrun.flows.observed.source import Growth, Identity, is_seen, stalled_ns
+from rtrun.flows.observed.source import Growth, Identity, is_seen, stalled_ns, without_values
 from rtrun.flows.values import Stream
 from rtrun.kinds.messages import STREAM as STREAM
+from rtrun.kinds.values import no_values
 
 
 def sources(observed: FlowAccumulator) -> Iterator["MessageSource"]:
@@ -35,6 +36,9 @@ class MessageSource:
         return {"topic": publisher.topic, "publisher": publisher.label, "subscriber": subscriber.label}
 
     def stream(self) -> Stream:
+        copies = self.record.copies
+        if copies:
+            return without_values(STREAM, self, copies)
         decided = DecidedMessages(self.record)
         counts = decided.counts()
         remarks: tuple[str, ...] = ()
@@ -53,6 +57,8 @@ class MessageSource:
         )
 
     def since(self, row: int) -> Growth:
+        if self.record.copies:
+            return Growth(0, no_values(), no_values(), 0)
         new = self.record.rows.read(row)
         times, rows = new[:, RECEIVED], len(self.record.rows)
         return Growth(rows, times - new[:, PUBLISHED], times, rows, self.record.lost_so_far)

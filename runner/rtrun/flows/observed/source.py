@@ -7,12 +7,12 @@ from typing import Protocol
 import numpy as np
 
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.flows.messages import End
+from rtrun.flows.messages import Copies, End
 from rtrun.flows.rows import Rows, RowStore
 from rtrun.flows.timers import TimerLog
 from rtrun.flows.values import Stream, steps
 from rtrun.kinds.kind import StreamKind
-from rtrun.kinds.values import Int64s
+from rtrun.kinds.values import Int64s, no_values
 from rtrun.results.columns import PIECE_ROWS, collected
 
 # The end of a program may be reported a round late.
@@ -97,6 +97,18 @@ def segments(cuts: Int64s, rows: int, store: RowStore) -> Int64s:
     numbers = (np.arange(start, min(start + PIECE_ROWS, rows)) for start in starts)
     (made,) = collected(store.folder, ((np.searchsorted(cuts, each, side="right"),) for each in numbers), 1)
     return made
+
+
+def without_values(kind: StreamKind, source: StreamSource, copies: Copies) -> Stream:
+    """The stream of what a process passes on by pointer, of which it took copies."""
+    return Stream(
+        kind=kind,
+        identity=source.identity,
+        columns=dict.fromkeys(kind.columns, no_values()),
+        counts={"copies": len(copies)},
+        remarks=(str(copies),),
+        source=source.record,
+    )
 
 
 def spans_since(rows: Rows, row: int) -> Growth:
