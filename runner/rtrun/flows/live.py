@@ -23,8 +23,8 @@ _BINS_OF_OCTAVE = 64
 class LiveRow:
     """Figures of one stream since the begin; None if there is no value. `name` and `of` are printable.
 
-    Median and p99 are at most 1.6 % too high, the others are exact. `rate_hz` is since the last snapshot. `lost` may
-    still fall when a message comes late.
+    Median and p99 are at most 1.6 % too high, the others are exact. `rate_hz` is since the last snapshot. `lost` are
+    messages, and may still fall when one comes late; or the skipped periods of a timer, which are misses, too.
     """
 
     kind: StreamKind
@@ -85,11 +85,12 @@ class BinnedValues:
 
 @dataclass(slots=True)
 class _Shown:
-    """A shown stream: its figures, how many rows are in them, and how many rows it had at the last snapshot."""
+    """A shown stream: its figures, how many rows are in them, how many rows it had before, and skipped periods."""
 
     figures: BinnedValues
     rows: int = 0
     before: int = 0
+    skipped: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +151,7 @@ class LiveFigures:
         figures = shown.figures
         figures.add(new.values_ns, limit_ns)
         shown.rows = new.settled
+        shown.skipped += new.skipped
         more, shown.before = new.rows - shown.before, new.rows
         return LiveRow(
             kind=kind,
@@ -160,9 +162,9 @@ class LiveFigures:
             median_ns=figures.quantile_ns(0.5),
             p99_ns=figures.quantile_ns(0.99),
             worst_ns=figures.worst_ns,
-            lost=new.lost,
+            lost=new.lost if new.lost is not None else shown.skipped or None,
             deadline_ns=limit_ns,
-            misses=None if limit_ns is None else figures.misses,
+            misses=None if limit_ns is None else figures.misses + shown.skipped,
         )
 
     def _remarks(self) -> Iterator[str]:

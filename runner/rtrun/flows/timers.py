@@ -26,7 +26,7 @@ LEAST_CALLS = 3
 _PERIOD_OFF_MAX = 0.1
 _QUEUED_MAX = 64  # calls of a timer whose callbacks have not begun
 _SAME_CLOCK = {"ros": "system"}  # unless the time is simulated
-_LATE_MAX_NS = 3600 * 10**9  # simulated time is further from the clock
+LATE_MAX_NS = 3600 * 10**9  # simulated time is further from the clock
 _NTP_DRIFT = 5e-4  # clocks that NTP disciplines drift by 500 ppm at most
 _STEP_LEAST_NS = 20_000  # what two readings of a pair of clocks differ by on a busy machine
 _ROUNDING_NS = 1000
@@ -182,15 +182,80 @@ class ClockOffsets:
         return read[-1] if read else None
 
 
-def known_period_ns(log: TimerLog) -> int | None:
-    """The period that the timer was given, if its calls come at about that distance."""
-    if log.period_ns is None or log.period_ns <= 0:
-        return None
+def called_period_ns(log: TimerLog) -> int | None:
+    """The period that the timer was given, if its callbacks begin at about that distance."""
     medians = [float(np.median(some)) for some in steps(log.rows, log.cuts) if some.size]
     # The median of a long stream is that of its pieces' medians.
-    if not medians or abs(float(np.median(medians)) / log.period_ns - 1) > _PERIOD_OFF_MAX:
+    if not log.period_ns or not medians or abs(float(np.median(medians)) / log.period_ns - 1) > _PERIOD_OFF_MAX:
         return None
     return log.period_ns
+
+
+def known_period_ns(log: TimerLog) -> int | None:
+    """The period that the timer was given, if its callbacks begin at about that distance, or are due by whole periods.
+
+    A timer that always overruns begins later than its period each time; when it is due shows that.
+    """
+    if not log.period_ns or log.period_ns <= 0:
+        return None
+    on_grid = [is_on_grid(log, begin, begin + PIECE_ROWS) for begin in range(0, len(log.rows), PIECE_ROWS)]
+    told = [each for each in on_grid if each is not None]
+    return log.period_ns if told and all(told) else called_period_ns(log)
+
+
+def is_on_grid(log: TimerLog, begin: int, end: int) -> bool | None:
+    """Whether most of these rows were due whole periods after the one before; None: that is not known of any."""
+    _, due, follows = _read(log, begin, end)
+    told = due != NOT_SEEN_NS
+    passed = np.diff(due)[follows[1:] & told[1:] & told[:-1]]
+    if not passed.size or not log.period_ns:
+        return None
+    periods = np.rint(passed / log.period_ns)
+    return float(np.mean((periods >= 1) & (np.abs(passed - periods * log.period_ns) <= _ROUNDING_NS))) > 1 / 2
+
+
+class CertainCalls(NamedTuple):
+    """Some rows of a timer whose lateness is certain.
+
+    When each began; when it was due and began on the timer's clock, int64 (n,); whether it must not be joined with the
+    one before, bool (n,). `skipped` counts the whole periods before them without a call, `unknown` the rows at which
+    the clock is not known, and `step_ns` is by how much that was set at most.
+    """
+
+    at_ns: Int64s
+    due_ns: Int64s
+    real_ns: Int64s
+    is_cut: "np.ndarray[tuple[int], np.dtype[np.bool_]]"
+    skipped: int
+    unknown: int
+    step_ns: int
+
+
+def certain_calls(log: TimerLog, clock: str, begin: int, end: int, offsets: ClockOffsets) -> CertainCalls:
+    """Those of the rows from `begin` to before `end` whose lateness is certain: for the live view and the verdict."""
+    at, due, follows = _read(log, begin, end)
+    offset, known, step_ns = offsets.read(clock, at)
+    told = due != NOT_SEEN_NS
+    certain = told & known
+    follows[1:] &= certain[1:] & certain[:-1]
+    skipped = 0
+    if log.period_ns:
+        # To the nearest period, as the samples are read.
+        passed = np.diff(due)[follows[1:]]
+        skipped = int(np.maximum((passed + log.period_ns // 2) // log.period_ns - 1, 0).sum())
+    new = np.flatnonzero(certain)
+    new = new[new >= begin - max(begin - 1, 0)]
+    unknown = int(np.count_nonzero((told & ~known)[begin - max(begin - 1, 0) :]))
+    return CertainCalls(at[new], due[new], (at + offset)[new], ~follows[new], skipped, unknown, step_ns)
+
+
+def _read(log: TimerLog, begin: int, end: int) -> tuple[Int64s, Int64s, "np.ndarray[tuple[int], np.dtype[np.bool_]]"]:
+    """Rows, with the one before them, if there is one; and whether each of them follows the one before."""
+    start = max(begin - 1, 0)
+    at, due = log.rows.read(start, end).T
+    follows = ~np.isin(np.arange(start, start + at.size), log.cuts.between(start, start + at.size))
+    follows[:1] = False
+    return at, due, follows
 
 
 def lateness(log: TimerLog, offsets: ClockOffsets, store: RowStore) -> Lateness:
@@ -199,14 +264,14 @@ def lateness(log: TimerLog, offsets: ClockOffsets, store: RowStore) -> Lateness:
         return _none("no probe sees where its callback begins: rclcpp may queue it for another thread")
     period_ns = known_period_ns(log)
     if period_ns is None:
-        return _none("period not known: none was told, or its calls lie more than 10 % from it")
+        return _none("period not known: none was told, or its calls neither lie within 10 % of it nor are due by it")
     if not any(np.any(piece[:, 1] != NOT_SEEN_NS) for piece in log.rows.pieces()):
         if log.unpaired:
             return _none("not known which of its calls its callbacks belong to")
         return _none("no probe tells when its calls were due")
     if log.clock is None:
         return _none("the clock of its grid is not known")
-    certain = _CertainCalls(log, log.clock, period_ns, offsets)
+    certain = _AllCertain(log, log.clock, offsets)
     at_ns, expected_ns, real_ns, cuts = collected(store.folder, certain.pieces(), 4)
     why_not = []
     if log.unpaired:
@@ -218,7 +283,7 @@ def lateness(log: TimerLog, offsets: ClockOffsets, store: RowStore) -> Lateness:
     if certain.unknown:
         calls = counted(certain.unknown, "call")
         why_not.append(f"no lateness of {calls}: not known how its clock ({log.clock}) stood then")
-    if certain.medians and not 0 <= np.median(certain.medians) <= _LATE_MAX_NS:
+    if certain.medians and not 0 <= np.median(certain.medians) <= LATE_MAX_NS:
         return _none(f"its grid is not one of the clock ({log.clock}); is the time simulated?")
     return Lateness(
         at_ns=at_ns,
@@ -235,36 +300,26 @@ def _none(reason: str) -> Lateness:
     return Lateness(at_ns=none, expected_ns=none, real_ns=none, cuts=none, why_not=(f"no lateness: {reason}",))
 
 
-class _CertainCalls:
+class _AllCertain:
     """Reads the calls of a timer whose lateness is certain, some at a time, and sums up what holds for all of them."""
 
-    def __init__(self, log: TimerLog, clock: str, period_ns: int, offsets: ClockOffsets) -> None:
-        self._log, self._clock, self._period_ns, self._offsets = log, clock, period_ns, offsets
+    def __init__(self, log: TimerLog, clock: str, offsets: ClockOffsets) -> None:
+        self._log, self._clock, self._offsets = log, clock, offsets
         self.step_ns = self.unknown = self.skipped = 0
         self.medians: list[float] = []
         """The median lateness of each piece."""
 
     def pieces(self) -> Iterator[tuple[Int64s, Int64s, Int64s, Int64s]]:
-        """When each call came; when it was due and came on the timer's clock; and which of these rows are cuts."""
-        before, last_row, last_due = 0, np.empty(0, np.int64), np.empty(0, np.int64)
+        """When each began; when it was due and began on the timer's clock; and which of these rows are cuts."""
+        before = 0
         for begin in range(0, len(self._log.rows), PIECE_ROWS):
-            at, due = self._log.rows.read(begin, begin + PIECE_ROWS).T
-            offset, known, step_ns = self._offsets.read(self._clock, at)
-            self.step_ns = max(self.step_ns, step_ns)
-            told = due != NOT_SEEN_NS
-            self.unknown += int(np.count_nonzero(told & ~known))
-            rows = np.flatnonzero(told & known)
-            if not rows.size:
+            piece = certain_calls(self._log, self._clock, begin, begin + PIECE_ROWS, self._offsets)
+            self.step_ns = max(self.step_ns, piece.step_ns)
+            self.unknown += piece.unknown
+            self.skipped += piece.skipped
+            if not piece.at_ns.size:
                 continue
-            at, due, real = at[rows], due[rows], (at + offset)[rows]
-            self.medians.append(float(np.median(real - due)))
-            rows = rows + begin
-            is_cut = np.isin(rows, self._log.cuts.between(begin, begin + PIECE_ROWS))
-            is_cut[1 - last_row.size :] |= np.diff(np.append(last_row, rows)) != 1
-            # The very first call has none before it.
-            is_cut[0] |= not last_row.size
-            steps_ns = np.diff(np.concatenate((last_due, due)))[~is_cut[1 - last_row.size :]]
-            self.skipped += int(np.maximum((steps_ns + _ROUNDING_NS) // self._period_ns - 1, 0).sum())
-            cuts = np.flatnonzero(is_cut) + before
-            yield at, due, real, cuts[cuts > 0]
-            before, last_row, last_due = before + rows.size, rows[-1:], due[-1:]
+            self.medians.append(float(np.median(piece.real_ns - piece.due_ns)))
+            cuts = np.flatnonzero(piece.is_cut) + before
+            yield piece.at_ns, piece.due_ns, piece.real_ns, cuts[cuts > 0]
+            before += piece.at_ns.size

@@ -26,7 +26,7 @@ _NOT_KNOWN = "when the timer was due is not known: ask for the jitter (--of jitt
 
 
 def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
-    """Lateness of each call and jitter of each period, except for the first call of each segment."""
+    """Lateness of each call, and jitter of each period, which the first call of a segment does not end."""
     called, period_ns = np.asarray(columns["timestamp_ns"]), _period_ns(stated, path)
     check_times(path, called)
     row = np.flatnonzero(within_segments(columns["segment"], called.size)) + 1
@@ -39,17 +39,19 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
 def _lateness(columns: Columns, row: Int64s, period_ns: int, overdue: int, path: Path) -> IndexedValues:
     """How late each call is on the grid of the timer; periods without a call are absent."""
     due, real = np.asarray(columns["expected_ns"]), np.asarray(columns["real_ns"])
+    rows = due.size
     if np.any(due == UNKNOWN_NS):
         return IndexedValues(values_ns=no_values(), index=no_values(), undecidable=_NOT_KNOWN)
     check_wall_times(path, due, real)
     check_times(path, real - due)
     # To the nearest period: the grid of a timer moves by whole periods, except for the rounding of its clock.
-    skipped = np.maximum((due[row] - due[row - 1] + period_ns // 2) // period_ns - 1, 0)
+    skipped = np.zeros(rows, np.int64)
+    skipped[row] = np.maximum((due[row] - due[row - 1] + period_ns // 2) // period_ns - 1, 0)
     if (total := int(skipped.sum(dtype=np.float64))) > MAX_ABSENT:
         raise UsageError(f"{path}: {total} periods were skipped: none with more than {MAX_ABSENT} is read")
-    loops = np.arange(row.size) + np.cumsum(skipped)
-    absent = without(loops, row.size + total + overdue)
-    return IndexedValues(values_ns=(real - due)[row], index=row, absent=absent)
+    loops = np.arange(rows) + np.cumsum(skipped)
+    absent = without(loops, rows + total + overdue)
+    return IndexedValues(values_ns=real - due, index=np.arange(rows), absent=absent)
 
 
 def _period_ns(stated: Stated, path: Path) -> int:

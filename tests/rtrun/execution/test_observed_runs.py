@@ -4,12 +4,13 @@ import json
 from itertools import chain
 
 import pytest
-from made_flows import MS, S, hit, node, publish, take
+from made_flows import MS, S, gap, hit, node, publish, take
 from written import write_record
 
 from rtrun.cli import main
 from rtrun.execution.stream_runs import StreamFacts, put_aside, write_streams
 from rtrun.flows.accumulator import FlowAccumulator
+from rtrun.flows.live import LiveFigures
 from rtrun.flows.streams import streams
 from rtrun.plan.observation import read_stream_deadline
 from rtrun.results.record import read_record
@@ -50,26 +51,12 @@ def callback_without_an_end():
     return [*chain.from_iterable(calls), hit(10_010 * MS, "callback_begin", callback=5)]
 
 
-@pytest.mark.parametrize(("limit", "misses"), [("45s", 1), ("61s", 0)])
-@pytest.mark.parametrize(
-    ("hits", "deadline", "n", "silent"),
-    [
-        (silent_publisher, "interval:/a", 999, "no message in the last 50 s, though its program lives"),
-        (untaken, "/a", 1000, "nothing of what was published in the last 49.99 s was taken, though both programs live"),
-        (timer_that_is_not_called, "timer:/talker", 999,
-         "a call was due 49.99 s ago and did not come, though its program lives: it hangs, or was cancelled"),
-        (callback_without_an_end, "callback:/talker", 1000, "a call began 49.99 s ago and has not ended"),
-    ],
-)  # fmt: skip
-def test_what_hangs_for_good_misses_its_deadline(tmp_path, capsys, hits, deadline, n, silent, limit, misses):
-    flows = FlowAccumulator(begin_ns=0)
-    flows.observe([node(1, "talker")])
-    flows.feed(hits())
-    flows.finish(60 * S)
+def gated(tmp_path, capsys, flows, deadline):
+    """What `rtrun gate` prints of the only stream with a deadline, and what was written."""
     (tmp_path / "facts").mkdir()
     write_record(tmp_path / "facts", "observed_intervals", [], {}, subject="attached")
     times = {"start_time": "2026-11-21T10:00:00Z", "end_time": "2026-11-21T10:01:00Z"}
-    deadlines = [read_stream_deadline(f"{deadline}={limit}")]
+    deadlines = [read_stream_deadline(deadline)]
     facts = StreamFacts(
         record=read_record(tmp_path / "facts"),
         state=TargetState(),
@@ -79,7 +66,79 @@ def test_what_hangs_for_good_misses_its_deadline(tmp_path, capsys, hits, deadlin
     )
     (tmp_path / "results").mkdir()
     written = write_streams(tmp_path / "results/001", facts, streams(flows), {})
-    assert any(each.endswith(f": {silent}") for each in written.left_out) is bool(misses)
     assert main(["gate", str(tmp_path / "results"), "--probability", "1e-3", "--json"]) == 1
     (case,) = json.loads(capsys.readouterr().out)["cases"]
+    return case, written
+
+
+@pytest.mark.parametrize(("limit", "misses"), [("45s", 1), ("61s", 0)])
+@pytest.mark.parametrize(
+    ("hits", "deadline", "n", "silent"),
+    [
+        (silent_publisher, "interval:/a", 999, "no message in the last 50 s, though its program lives"),
+        (untaken, "/a", 1000, "nothing of what was published in the last 49.99 s was taken, though both programs live"),
+        (timer_that_is_not_called, "timer:/talker", 1000,
+         "a call was due 49.99 s ago and did not come, though its program lives: it hangs, or was cancelled"),
+        (callback_without_an_end, "callback:/talker", 1000, "a call began 49.99 s ago and has not ended"),
+    ],
+)  # fmt: skip
+def test_what_hangs_for_good_misses_its_deadline(tmp_path, capsys, hits, deadline, n, silent, limit, misses):
+    flows = FlowAccumulator(begin_ns=0)
+    flows.observe([node(1, "talker")])
+    flows.feed(hits())
+    flows.finish(60 * S)
+    case, written = gated(tmp_path, capsys, flows, f"{deadline}={limit}")
+    assert any(each.endswith(f": {silent}") for each in written.left_out) is bool(misses)
     assert (case["n"], case["misses"]) == (n + misses, misses)
+
+
+def test_a_timer_that_always_overruns_misses_with_each_period_that_it_skips(tmp_path, capsys):
+    """Its callback takes 15 ms of 10 ms. The live view and the verdict have the same figures."""
+    calls, skipped = overrunning(600)
+    flows = FlowAccumulator(begin_ns=0)
+    flows.observe([node(1, "talker")])
+    live = LiveFigures(flows, [read_stream_deadline("timer:/talker=1ms")])
+    for place in range(0, len(calls), 100):
+        flows.feed(calls[place : place + 100])
+        row = live.snapshot(calls[min(place + 99, len(calls) - 1)].at_ns).rows[-1]
+    late = [call.at_ns - call.values["expected_ns"] for call in calls]
+    misses = sum(each > MS for each in late) + skipped
+    assert skipped > 150 and (row.misses, row.lost, row.worst_ns) == (misses, skipped, max(late))
+    (stream,) = streams(flows)
+    assert stream.period_ns == 10 * MS and stream.counts["skipped"] == skipped and stream.remarks == ()
+    case, _ = gated(tmp_path, capsys, flows, "timer:/talker=1ms")
+    assert (case["n"], case["misses"]) == (len(calls) + skipped, misses)
+
+
+def overrunning(number):
+    """Calls of a timer as rcl makes them, which moves the next one to a whole period after now, and skipped periods."""
+    period_ns, calls, skipped, now_ns, due_ns = 10 * MS, [], 0, 0, 10 * MS
+    for _ in range(number):
+        now_ns = max(now_ns, due_ns)
+        told = {"timer": 5, "period_ns": period_ns, "clock": "steady", "expected_ns": due_ns}
+        calls.append(hit(now_ns, "timer_call", **told))
+        following_ns = due_ns + period_ns
+        if following_ns < now_ns:
+            following_ns += (1 + (now_ns - following_ns - 1) // period_ns) * period_ns
+        skipped += (following_ns - due_ns) // period_ns - 1
+        due_ns, now_ns = following_ns, now_ns + 15 * MS
+    # Periods after the last call are not seen to be skipped.
+    return calls, skipped - ((due_ns - calls[-1].values["expected_ns"]) // period_ns - 1)
+
+
+def test_a_late_call_that_comes_first_after_a_gap_is_a_miss(tmp_path, capsys):
+    """The live view and the verdict count the same."""
+    told = {"timer": 5, "period_ns": 10 * MS, "clock": "steady"}
+    late = {1: 4 * MS, 300: 3 * MS, 700: 2 * MS}
+    calls = [
+        hit(n * 10 * MS + late.get(n, 5), "timer_call", expected_ns=n * 10 * MS, **told)
+        for n in range(1, 1001)
+        if not 100 <= n < 300
+    ]
+    flows = FlowAccumulator(begin_ns=0)
+    flows.observe([node(1, "talker")])
+    flows.feed([*calls, gap(0, 0)._replace(from_ns=1000 * MS - 1, until_ns=3000 * MS)])
+    row = LiveFigures(flows, [read_stream_deadline("timer:/talker=1ms")]).snapshot(10 * S).rows[-1]
+    assert (row.misses, row.lost, row.worst_ns) == (3, None, 4 * MS)
+    case, _ = gated(tmp_path, capsys, flows, "timer:/talker=1ms")
+    assert (case["n"], case["misses"]) == (800, 3)

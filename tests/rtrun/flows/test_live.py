@@ -100,6 +100,33 @@ def test_rates_are_of_the_last_second(seen):
     assert snapshots[4].remarks == ("1 gap of 0.5 s together: the kernel lost events",)
 
 
+def test_a_timer_on_simulated_time_has_no_lateness():
+    """Its clock is the node's, not the system's, whose offset is known."""
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "talker")])
+    live = LiveFigures(observed, [read_stream_deadline("timer:/talker=1ms")])
+    for second in range(3):
+        observed.offset("system", second * S, 1_795_694_189 * S)
+        told = {"timer": 7, "period_ns": 10 * MS, "clock": "ros"}
+        times = range(second * S, (second + 1) * S, 10 * MS)
+        observed.feed([hit(at_ns + 5, "timer_call", expected_ns=at_ns + 3 * S, **told) for at_ns in times])
+        (row,) = live.snapshot((second + 1) * S).rows
+    assert (row.n, row.worst_ns, row.misses, row.lost) == (300, None, 0, None)
+    assert "is the time simulated?" in next(streams(observed)).remarks[0]
+
+
+def test_what_is_no_value_after_all_leaves_the_figures():
+    """The first copy of a message that is passed on by pointer looks like a message."""
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(2, "talker")])
+    live = LiveFigures(observed)
+    observed.feed([publish(10, pid=2), take(5 * MS, 10), hit(5 * MS + 1, "callback_end", pid=2)])
+    assert [row.worst_ns for row in live.snapshot(S).rows if row.kind is MESSAGES] == [5 * MS - 10]
+    observed.feed([publish(2 * S, pid=2), take(2 * S + 5, 2 * S)])
+    observed.feed([hit(2 * S + 9, "callback_begin", pid=2, callback=1, intra_process=1)])
+    assert [(row.n, row.worst_ns) for row in live.snapshot(3 * S).rows if row.kind is MESSAGES] == [(0, None)]
+
+
 def test_time_in_gaps_of_two_cpus_counts_once():
     observed = FlowAccumulator(begin_ns=0)
     gaps = ((4, 6, 1), (0, 3, 0), (1, 2, 1), (2, 5, 1))

@@ -24,7 +24,8 @@ Identity = dict[str, str | int]
 class Growth:
     """A stream as it is now: how many rows it has, its new values, int64 (n,), and when each was there.
 
-    The values of the first `settled` rows will not change. `lost` may still fall when a message comes late.
+    The values of the first `settled` rows will not change. `lost` may still fall when a message comes late. `skipped`
+    are periods without a value.
     """
 
     rows: int
@@ -32,6 +33,7 @@ class Growth:
     times_ns: Int64s
     settled: int
     lost: int | None = None
+    skipped: int = 0
 
 
 class StreamSource(Protocol):

@@ -8,9 +8,16 @@ import numpy as np
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.observed.source import Growth, Identity, cuts_of, segments, silent_ns
 from rtrun.flows.programs import numbered
-from rtrun.flows.timers import TimerLog, known_period_ns, lateness
+from rtrun.flows.timers import (
+    LATE_MAX_NS,
+    TimerLog,
+    called_period_ns,
+    certain_calls,
+    is_on_grid,
+    known_period_ns,
+    lateness,
+)
 from rtrun.flows.values import Stream
-from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.kinds.timer import STREAM as STREAM
 from rtrun.kinds.values import no_values
 from rtrun.probes.hits import HITS_CLOCK
@@ -55,7 +62,7 @@ class TimerSource:
             (at_ns,) = collected(store.folder, ((piece[:, 0],) for piece in log.rows.pieces()), 1)
             columns = {"timestamp_ns": at_ns}
         rows = columns["timestamp_ns"].size
-        period_ns = known_period_ns(log)
+        period_ns = known_period_ns(log) if "skipped" in counts else called_period_ns(log)
         # A call was due a period after the last one.
         overdue_ns = 0 if period_ns is None else max(0, silent_ns(log.rows, log, self.observed) - period_ns)
         return Stream(
@@ -73,17 +80,22 @@ class TimerSource:
     def since(self, row: int) -> Growth:
         log, offsets = self.record, self.observed.offsets
         rows = len(log.rows)
-        begin = max(row, rows - _WAITING_MAX)
-        if log.clock is None or log.period_ns is None:
-            return Growth(rows, no_values(), no_values(), rows)
-        at, expected = log.rows.read(begin).T
-        settled = rows
-        known = expected != NOT_SEEN_NS
+        begin, end = max(row, rows - _WAITING_MAX), rows
+        nothing = Growth(rows, no_values(), no_values(), rows)
+        if log.is_mixed:
+            return Growth(0, no_values(), no_values(), 0)
+        if log.clock is None or not log.period_ns or begin == rows:
+            return nothing
         if log.clock != HITS_CLOCK:
             # The offset of the clock is known up to its last reading.
             last_ns = offsets.last_ns(log.clock)
-            size = 0 if last_ns is None else int(np.searchsorted(at, last_ns, side="right"))
-            at, expected, known, settled = at[:size], expected[:size], known[:size], begin + size
-        offset, is_known, _ = offsets.read(log.clock, at)
-        known = known & is_known
-        return Growth(rows, (at + offset - expected)[known], at[known], settled)
+            at = log.rows.read(begin)[:, 0]
+            end = begin if last_ns is None else begin + int(np.searchsorted(at, last_ns, side="right"))
+        if is_on_grid(log, begin, end) is False:
+            return nothing
+        new = certain_calls(log, log.clock, begin, end, offsets)
+        late = new.real_ns - new.due_ns
+        if late.size and abs(float(np.median(late))) > LATE_MAX_NS:
+            # Its grid is not one of the clock: the time is simulated.
+            return nothing
+        return Growth(rows, late, new.at_ns, end, skipped=new.skipped)
