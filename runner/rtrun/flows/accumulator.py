@@ -112,6 +112,7 @@ class FlowAccumulator:
                 state.store.ease()
         topics.expire(self.newest_ns)
         state.store.ease()
+        self._programs.feed += 1
 
     def finish(self, until_ns: int = 0) -> None:
         """End the feeds; there were no more hits until `until_ns`. Decide what waited for later hits."""

@@ -82,6 +82,7 @@ class ObservationState:
         """The name of a node, the same for all topics of its process; numbered if another living process has it."""
         label = process.labels.get(name)
         if label is None:
-            label = process.labels[name] = numbered(name, self.numbering.number(("process", name), process))
+            argv = process.program.argv if process.program is not None else ()
+            label = process.labels[name] = numbered(name, self.numbering.number(("process", name), process, argv))
         self.add_pid(label, process.pid)
         return label

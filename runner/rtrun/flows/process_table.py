@@ -17,6 +17,8 @@ class ProcessTable:
         self.threads: dict[int, ObservedThread] = {}
         self._ran_before: frozenset[tuple[str, ...]] | None = None
         """The command lines of the programs that ran when the observation began; None before that is known."""
+        self.feed = 0
+        """The number of the next feed."""
         self._pids: dict[int, int] = {}
         """The pids of the listed threads, by thread."""
 
@@ -26,10 +28,11 @@ class ProcessTable:
         for pid, process in list(self.processes.items()):
             program = listed.get(pid)
             if program is None:
-                # Its last hits may still come: it is dropped the next time.
-                if not process.is_alive:
+                # It may have ended after the hits of this feed: its last ones come with the next.
+                if process.is_alive:
+                    process.is_alive, process.ended_feed = False, self.feed
+                elif self.feed - process.ended_feed > 1:
                     self._drop(process)
-                process.is_alive = False
             elif process.program is None or _is_other(process.program, program):
                 self._drop(process)
         if self._ran_before is None:

@@ -1,6 +1,7 @@
 """Observed processes while they live, and names for their nodes and things that outlast a restart."""
 
 import re
+from collections import Counter
 from collections.abc import Hashable, Sequence
 from pathlib import PurePosixPath
 from typing import Any, Generic, Protocol, TypeVar
@@ -28,8 +29,8 @@ class LivingProcess:
     """
 
     __slots__ = (
-        "has_own_name", "has_shown_callbacks", "is_alive", "label", "labels", "names_of_nodes", "passes_pointers",
-        "pid", "program", "tables",
+        "ended_feed", "has_own_name", "has_shown_callbacks", "is_alive", "label", "labels", "names_of_nodes",
+        "passes_pointers", "pid", "program", "tables",
     )  # fmt: skip
 
     def __init__(self, pid: int, program: ObservedProgram | None, *, has_own_name: bool = False) -> None:
@@ -39,6 +40,8 @@ class LivingProcess:
         unknown = f"process {pid}" if pid > 0 else f"process of thread {-pid}"
         self.label = unknown if program is None else label_of(program)
         self.is_alive = True
+        self.ended_feed = 0
+        """Which feed was the next one when it was seen to have ended."""
         self.has_own_name = has_own_name
         self.has_shown_callbacks = self.passes_pointers = False
         self.names_of_nodes: dict[Handle, str] = {}
@@ -100,28 +103,36 @@ class _Living(Protocol):
 
 
 class Numbering:
-    """Numbers things that nothing else tells apart: each gets the lowest number that no living one has.
+    """Numbers things that nothing else tells apart: no two living ones share a number.
 
-    So a thing gets its old number again after a restart, and two living things never share a number.
+    After a restart a thing gets its old number again, and of several the one whose command line is most like its own.
+    If that leaves several, it gets a new number: two programs of one name must not become one.
     """
 
     def __init__(self) -> None:
-        self._owners: dict[Hashable, list[_Living]] = {}
+        self._owners: dict[Hashable, list[tuple[_Living, tuple[str, ...]]]] = {}
         self._tidy_at = _TIDY_FROM
 
-    def number(self, alike: Hashable, owner: _Living) -> int:
-        """The number of a new owner, from 1."""
+    def number(self, alike: Hashable, owner: _Living, argv: tuple[str, ...] = ()) -> int:
+        """The number of a new owner, from 1; `argv` is its command line, if it is a program."""
         owners = self._owners.setdefault(alike, [])
-        for place, earlier in enumerate(owners):
-            if not earlier.is_alive:
-                owners[place] = owner
-                return place + 1
-        owners.append(owner)
+        free = [place for place, (earlier, _) in enumerate(owners) if not earlier.is_alive]
+        like = {place: _likeness(owners[place][1], argv) for place in free}
+        best = [place for place in free if like[place] == max(like.values())]
+        if len({owners[place][1] for place in best}) == 1:
+            owners[best[0]] = owner, argv
+            return best[0] + 1
+        owners.append((owner, argv))
         if len(self._owners) > self._tidy_at:
             # Things that ended long ago lose their numbers.
-            self._owners = {key: each for key, each in self._owners.items() if any(one.is_alive for one in each)}
+            self._owners = {key: each for key, each in self._owners.items() if any(one.is_alive for one, _ in each)}
             self._tidy_at = max(_TIDY_FROM, 2 * len(self._owners))
         return len(owners)
+
+
+def _likeness(argv: tuple[str, ...], other: tuple[str, ...]) -> tuple[bool, int]:
+    """How much two command lines are alike; a launch file may give each start a file of its own."""
+    return argv == other, (Counter(argv) & Counter(other)).total()
 
 
 def numbered(label: str, number: int) -> str:

@@ -319,6 +319,48 @@ def test_the_last_hits_of_a_program_that_has_ended_are_still_its_own():
     assert stream.counts["messages"] == 3 and stream.cuts.tolist() == [2]
 
 
+def test_the_last_hits_of_a_program_are_its_own_though_it_ended_before_they_come():
+    """With the kernel's trace a round takes long: the end is listed before the last hits, with another's begin."""
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "lidar")])
+    observed.feed([sent(10)])
+    observed.observe([])
+    observed.feed([sent(20)])
+    observed.observe([node(7, "lidar", start_ticks=200)])
+    observed.feed([sent(30), sent(40, pid=7)])
+    (stream,) = streams(observed)
+    assert stream.identity["node"] == "/lidar" and stream.counts["messages"] == 4
+
+
+def twin(pid, topic, *more, start_ticks=100):
+    argv = ("/opt/lib/relay", "--ros-args", "-r", "__node:=relay", "-r", f"in:={topic}", *more)
+    return program(pid, argv, start_ticks=start_ticks)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "again", "expected"),
+    [
+        ((), (), [("/a", ()), ("/b", ())], {"/relay": 15, "/relay#2": 30}),
+        # As a launch file starts them: each with a file of its own.
+        (("--params-file", "/tmp/1"), ("--params-file", "/tmp/2"),
+         [("/a", ("--params-file", "/tmp/3")), ("/b", ("--params-file", "/tmp/4"))], {"/relay": 15, "/relay#2": 30}),
+        # Neither is more like one than like the other.
+        ((), (), [("/c", ()), ("/d", ())], {"/relay": 10, "/relay#2": 20, "/relay#3": 10, "/relay#4": 5}),
+    ],
+)  # fmt: skip
+def test_programs_of_one_name_stay_apart_when_they_begin_again_in_another_order(first, second, again, expected):
+    (topic_a, more_a), (topic_b, more_b) = again
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([twin(1, "/a", *first), twin(2, "/b", *second, start_ticks=101)])
+    observed.feed([*(sent(at, pid=1) for at in range(10)), *(sent(at, pid=2) for at in range(20))])
+    observed.observe([])
+    observed.feed([])
+    observed.observe([twin(8, topic_b, *more_b, start_ticks=200), twin(7, topic_a, *more_a, start_ticks=201)])
+    observed.feed([*(sent(at, pid=7) for at in range(100, 105)), *(sent(at, pid=8) for at in range(90, 100))])
+    found = {stream.identity["node"]: stream.counts["messages"] for stream in streams(observed)}
+    assert found == expected
+
+
 def test_callbacks_within_one_another_beyond_64_were_left_by_exceptions():
     observed = FlowAccumulator(begin_ns=0)
     observed.observe([node(2, "detector")])
