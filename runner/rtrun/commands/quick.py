@@ -46,15 +46,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure, and print what was proven. 0: measured, 3: the target is out of reach, or lacks something."""
+    """Measure, print what was proven, and write the report. 0: measured, 3: out of reach, or something is missing."""
     import yaml
 
     from rtfiles import atomic
-    from rtfiles.output import print_status
+    from rtfiles.output import print_line, print_status
     from rtrun.commands._boards import TargetFile, measure_made, print_failed
     from rtrun.commands._link import linked
     from rtrun.judgement.study import study
     from rtrun.plan.question import Question
+    from rtrun.report import page
+    from rtrun.report.contents import contents
     from rtrun.results import run_directory
     from rtrun.targets.config import parse_target, read_target
     from rtrun.targets.inspection import rt_readiness
@@ -72,9 +74,17 @@ def run(args: argparse.Namespace) -> int:
     if data:
         atomic.write_text(file, yaml.safe_dump(data, sort_keys=False))
     statuses = measure_made(campaign, TargetFile(config=config, folder=file.parent), results)
-    asked = Question(deadline_ns=args.deadline, probability=ASKED[0], is_deadline_stated=True)
-    _print(study(results, asked, bounds=False), findings, results, file)
-    return print_failed(statuses)
+    print_status("writing the report")
+    examined = study(results, Question(deadline_ns=args.deadline, probability=ASKED[0], is_deadline_stated=True))
+    report = results / "report.html"
+    atomic.write_named(report, page.html(examined, contents(examined)).encode("utf-8", "replace"))
+    print_status("")
+    _print(examined, findings, results, file)
+    status = print_failed(statuses)
+    if config.kind == "local" and args.policy is None and campaign["common"]["policy"] == NO_REAL_TIME:
+        print_line(f"to measure with real-time priorities, and trace late values: {_as_root()}")
+    print_line(f"report: {report}")
+    return status
 
 
 def _target(args: argparse.Namespace) -> dict[str, Any] | None:
@@ -136,6 +146,18 @@ def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
     )
 
 
+def _as_root() -> str:
+    """The call of this program once more, by sudo, which has a PATH of its own."""
+    import shlex
+    import shutil
+    import sys
+
+    from rtfiles.invocation import as_called
+
+    call = as_called("rtrun")
+    return shlex.join(["sudo", shutil.which(call) or call, *sys.argv[1:]])
+
+
 def _can_trace(link: "Link") -> bool:
     return link.run(["sh", "-c", "[ -w /sys/kernel/tracing/instances ]"]).status == 0
 
@@ -148,7 +170,6 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     from rtfiles.output import console, print_line
     from rtfiles.quantities import one_in
     from rtrun.judgement.study import study as examine
-    from rtrun.plan.quantities import time_text
     from rtrun.report import causes, sentences
     from rtrun.report.scenarios import scenarios
     from rtrun.report.terminal import print_banner
@@ -172,6 +193,4 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     folder, file, call = shlex.quote(str(results)), shlex.quote(str(target)), as_called("rtrun")
     explain = f"; {call} check-rt --target {file} says why, and the remedy"
     print_line(f"in the way of real time: {', '.join(grave) + explain if grave else 'nothing grave'}")
-    question = f"--deadline {time_text(study.question.deadline_ns)} --probability {study.question.probability:g}"
-    print_line(f"next: {call} report {folder} {question}")
     print_line(f"to measure again: {call} run {folder}/campaign.yml --target {file} --fresh")
