@@ -33,7 +33,9 @@ def packages_of(checkout: Path) -> Path:
 def checkout(tmp_path: Path) -> Path:
     """A checkout that lacks a Debian package and has its Python environment."""
     (tmp_path / "tools").mkdir()
-    shutil.copy(TOP / "tools/setup", tmp_path / "tools")
+    for name in ("setup", "step.sh"):
+        shutil.copy(TOP / "tools" / name, tmp_path / "tools")
+    (tmp_path / "tools/apt-packages-quick.txt").write_text("no-such-package-to-measure-here\n")
     (tmp_path / "tools/apt-packages.txt").write_text("no-such-package-of-the-tests\n")
     (tmp_path / "tools/apt-packages-all.txt").write_text("no-such-package-of-other-boards\n")
     (tmp_path / "tools/apt-packages-dev.txt").write_text("no-such-package-for-tests-alone\n")
@@ -55,7 +57,7 @@ def checkout(tmp_path: Path) -> Path:
 def setup(checkout: Path, status_of_install: int, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run it where apt-get prints and ends as told, and the user is root or may become it."""
     programs = checkout / "programs"
-    apt_get = f'echo "noise of $*"; [ $1 = update ] || exit {status_of_install}'
+    apt_get = f'echo "noise of $*"; cat changes 2>/dev/null; [ $1 = update ] || exit {status_of_install}'
     write_programs(programs, {"apt-get": apt_get, "sudo": 'exec "$@"'})
     environment = os.environ | {"PATH": f"{programs}:{os.environ['PATH']}"}
     return subprocess.run(
@@ -72,9 +74,19 @@ def test_each_step_is_one_line_with_its_time(checkout: Path) -> None:
     done = setup(checkout, 0)
     assert (done.returncode, done.stderr) == (0, "")
     assert re.fullmatch(
-        r"reading Debian's package lists \.\.\. \d+ s\ninstalling 1 Debian packages \.\.\. \d+ s\n", done.stdout
+        r"reading Debian's package lists \.\.\. \d+ s\ninstalling 1 Debian packages \.\.\. \d+ s\n"
+        r"writing them to the disk \.\.\. \d+ s\n",
+        done.stdout,
     )
     assert "noise of install" in (checkout / "build/setup.log").read_text()
+
+
+@pytest.mark.parametrize(("change", "waits"), [("Inst new (2 Debian:12)", False), ("Inst old [1] (2 Debian:12)", True)])
+def test_only_an_upgrade_waits_for_the_disk_after_each_file(checkout: Path, change: str, waits: bool) -> None:
+    (checkout / "changes").write_text(f"{change}\n")
+    assert setup(checkout, 0).returncode == 0
+    (installed,) = re.findall("^noise of install .*", (checkout / "build/setup.log").read_text(), re.M)
+    assert ("--force-unsafe-io" not in installed) == waits
 
 
 def test_a_step_that_fails_shows_the_end_of_the_log(checkout: Path) -> None:
@@ -90,11 +102,11 @@ def test_only_dev_installs_what_the_tests_alone_need(checkout: Path) -> None:
     assert setup(checkout, 0).returncode == 0
     assert "alone" not in log.read_text() and "pip" not in log.read_text()
     log.unlink()
-    assert "installing 2 Debian packages" in setup(checkout, 0, "all").stdout
+    assert "installing 3 Debian packages" in setup(checkout, 0, "all").stdout
     assert "of-other-boards" in log.read_text() and "alone" not in log.read_text()
     log.unlink()
     done = setup(checkout, 0, "dev")
-    assert "installing 3 Debian packages" in done.stdout
+    assert "installing 4 Debian packages" in done.stdout
     assert "alone" in log.read_text() and "--require-hashes --requirement tools/python-packages.txt" in log.read_text()
     # The environment that has all is not made anew for a use that needs less.
     log.unlink()
@@ -142,4 +154,4 @@ def test_the_pinned_packages_are_within_the_ranges() -> None:
 
 def test_an_unknown_argument_is_refused(checkout: Path) -> None:
     done = setup(checkout, 0, "test")
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", "usage: tools/setup [all|dev]\n")
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", "usage: tools/setup [quick|all|dev]\n")

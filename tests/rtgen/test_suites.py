@@ -121,7 +121,7 @@ def test_a_transport_whose_packages_are_missing_is_not_built_and_that_is_said(
 
 
 def test_this_machine_is_set_up_with_the_packages_of_all_transports() -> None:
-    lists = [checkout() / "tools" / name for name in ("apt-packages.txt", "apt-packages-all.txt")]
+    lists = [checkout() / f"tools/apt-packages{name}.txt" for name in ("-quick", "", "-all")]
     listed = {package for path in lists for package in path.read_text().split()}
     assert {package for packages in suites.transports().values() for package in packages} <= listed
 
