@@ -3,26 +3,26 @@
 DEMO := qemu-armv7
 MACHINE ?= $(DEMO)
 BIN := .venv/bin
-# Many tests wait for one another's processes rather than work: twice as many workers as processors, with 0.3 GB each.
-WORKERS ?= $(shell expr 2 '*' $$(nproc))
-# OpenBLAS would start threads in each, which wait for one another busily.
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --maxprocesses 8 --dist loadgroup --no-loadscope-reorder
-# Workers and the programs that they start find their modules compiled, whatever the environment says.
+# How many tests run beside one another; without it tools/test decides.
+TEST := tools/test $(if $(WORKERS),-n $(WORKERS))
+# Tests and the programs that they start find their modules compiled, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-topologies test-yocto lock lint docs coverage mutants bench setup setup-demo board suites clean
+.PHONY: quick demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-topologies test-yocto lock lint docs coverage mutants bench setup setup-demo board suites clean
 
-demo: setup-demo
-	@$(MAKE) --no-print-directory -j2 board suites
+# quick, demo and test are names of programs in tools/; make quick DEADLINE=500us for another deadline.
+quick:
+	@tools/quick --deadline $(or $(DEADLINE),1ms)
+
+demo:
 	@MACHINE=$(MACHINE) tools/demo
 
-# Its last line is pytest's summary: nothing is to be printed after it, neither here nor by .ci/run.
-test: setup
-	$(PYTEST) -m "not kernel and not slow and not boards and not ros2"
+test:
+	@$(TEST)
 
 # What needs no board, no ROS master and no BitBake: for the loop of change and test.
-test-fast: setup
-	$(PYTEST) -m "not kernel and not slow and not boards and not qemu and not ros and not bitbake"
+test-fast:
+	@$(TEST) -m "not kernel and not slow and not boards and not qemu and not ros and not bitbake"
 
 # What takes long (forty minutes): each load of conditions.yml for two and a half minutes beside a suite, ten nodes that are
 # observed for ten minutes, a reset, a power cut and campaigns with a goal on the emulated board, a labgrid farm, and a

@@ -29,6 +29,9 @@ echo "$*" >>calls
 def checkout(tmp_path: Path) -> Path:
     for folder in ("tools", ".venv/bin"):
         (tmp_path / folder).mkdir(parents=True)
+    for name in ("tools/setup", ".venv/bin/rtgen"):
+        (tmp_path / name).write_text('#!/bin/sh\necho "${0##*/}${*:+ $*}" >>made\n[ "$1" != "${FAILS:-none}" ]\n')
+        (tmp_path / name).chmod(0o755)
     shutil.copy(TOP / "tools/demo", tmp_path / "tools")
     shutil.copytree(TOP / "targets", tmp_path / "targets")
     return tmp_path
@@ -45,6 +48,21 @@ def demo(
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.parametrize(("machine", "packages"), [("qemu-armv7", "setup"), ("qemu-x86_64", "setup all")])
+def test_it_sets_up_and_builds_first(checkout: Path, machine: str, packages: str) -> None:
+    assert demo(checkout, machine=machine).returncode == 0
+    first, *built = (checkout / "made").read_text().splitlines()
+    assert first == packages
+    assert sorted(built) == [f"rtgen {what} build --machine {machine}" for what in ("board", "suites")]
+
+
+@pytest.mark.parametrize("what", ["board", "suites"])
+def test_nothing_is_measured_where_a_build_fails(checkout: Path, monkeypatch: pytest.MonkeyPatch, what: str) -> None:
+    monkeypatch.setenv("FAILS", what)
+    assert demo(checkout).returncode != 0
+    assert not (checkout / "calls").exists()
+
+
 def test_every_command_that_it_names_is_one(checkout: Path) -> None:
     done = demo(checkout)
     assert (done.returncode, done.stderr) == (0, "")
@@ -59,7 +77,7 @@ def test_every_command_that_it_names_is_one(checkout: Path) -> None:
 
 
 def test_where_kvm_works_it_names_the_machine_with_a_real_clock(checkout: Path) -> None:
-    hint = "make demo MACHINE=qemu-x86_64  the same with a real clock"
+    hint = "MACHINE=qemu-x86_64 tools/demo  the same with a real clock"
     assert hint in demo(checkout, kvm_machine="qemu-x86_64").stdout
     assert hint not in demo(checkout, kvm_machine="qemu-x86_64", machine="qemu-x86_64").stdout
 

@@ -82,7 +82,6 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(TOP / "kas.yml", folder)
     for name in (
         "results/demo",
-        "results/quick",
         "results/smoke",
         "results/before",
         "results/after",

@@ -1,6 +1,6 @@
 """The commands of docs/tutorial.md, run on a board behind a real sshd; output that is always the same is compared.
 
-The rehearsal board is that of tests/integration: here its results are made up, and `make demo` is tests/test_demo.py.
+The rehearsal board is that of tests/integration: here its results are made up, and tools/demo is tests/test_demo.py.
 """
 
 import os
@@ -101,5 +101,5 @@ def limit_time(campaign: Path) -> None:
 
 def test_its_other_commands_are_there() -> None:
     programs = {shlex.split(command, comments=True)[0] for command, _ in steps()} - set(OURS)
-    assert programs == {"git", "cd", "make", "ssh-copy-id", "ssh-keygen"}
+    assert programs == {"git", "cd", "tools/demo", "ssh-copy-id", "ssh-keygen"}
     assert shutil.which("ssh-copy-id") and shutil.which("ssh-keygen")

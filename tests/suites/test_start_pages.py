@@ -119,8 +119,8 @@ def follow(page: str, folder: Path, user: str) -> str:
 def test_i_have_a_board(checkout: Path, sshd: Sshd) -> None:
     (checkout / "brakes.yml").write_text(shorter(file_of(TOP / "docs/start/board.md", "brakes.yml")))
     printed = follow("board.md", checkout, sshd.user)
-    assert printed.count("How many are late, 95 % sure:") == 2
-    assert "P(lateness > 1 ms) below 0.001, confidence 0.95" in printed
+    assert printed.count("How many are late, 95 % sure:") == 1
+    assert "at most 1 in 1 000 late, 95 % sure (P(lateness > 1 ms) < 0.001)" in printed
     assert (checkout / "results/brakes/report.html").is_file()
 
 
