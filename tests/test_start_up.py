@@ -168,6 +168,20 @@ def test_help_lists_every_command_once_below_its_group(capsys: pytest.CaptureFix
         ] == [called_as(command.__name__) for command in MODULES[program]]
 
 
+WITH_COMMANDS = [each for each in EVERY if any(isinstance(one, argparse._SubParsersAction) for one in each._actions)]
+
+
+@pytest.mark.parametrize("parser", WITH_COMMANDS, ids=[parser.prog for parser in WITH_COMMANDS])
+def test_without_a_command_it_prints_its_help(
+    parser: argparse.ArgumentParser, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program, *words = parser.prog.split()
+    main = {"rtgen": rtgen.cli, "rtrun": rtrun.cli}[program].main
+    assert main([*words, "--help"]) == 0
+    asked = capsys.readouterr()
+    assert (main(words), capsys.readouterr()) == (2, asked)
+
+
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_the_manual_page_has_every_command_and_no_mistake(program: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert {"rtgen": rtgen.cli, "rtrun": rtrun.cli}[program].main(["--print-manual"]) == 0

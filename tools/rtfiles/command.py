@@ -5,6 +5,7 @@ import contextlib
 import errno
 import shutil
 import signal
+import sys
 import textwrap
 import threading
 import traceback
@@ -174,12 +175,20 @@ class _Help(argparse.HelpFormatter):
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that accepts no abbreviated options, and suggests similar words; its sub-parsers do the same."""
+    """A parser that accepts no abbreviated options, and suggests similar words; its sub-parsers do the same.
+
+    Where a command must follow and no word does, it prints its help, with the status of a wrong call: a script that
+    calls it with an empty variable must not go on.
+    """
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**{"formatter_class": _Help, **settings, "allow_abbrev": False})
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        given = sys.argv[1:] if args is None else args
+        if not given and any(isinstance(action, argparse._SubParsersAction) for action in self._actions):
+            self.print_help()
+            self.exit(UsageError.exit_status)
         known, others = super().parse_known_args(args, namespace)
         if others:
             words = [word.partition("=")[0] for word in others if word.startswith("-")]
