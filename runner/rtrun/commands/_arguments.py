@@ -12,16 +12,27 @@ CAMPAIGNS = Path(rtrun.__file__).with_name("plan") / "campaigns"
 TARGET_VARIABLE = "RTRUN_TARGET"
 
 
-def add_campaign(parser: argparse.ArgumentParser) -> None:
-    """The campaign file, by its path or by the name of a shipped campaign."""
-    names = ", ".join(sorted(path.stem for path in CAMPAIGNS.glob("*.yml")))
-    parser.add_argument("campaign", type=campaign_file, metavar="CAMPAIGN", help=f"a file, or one of {names}")
+def add_campaign(parser: argparse.ArgumentParser, *, otherwise: str = "") -> None:
+    """The campaign file, by its path or by the name of a shipped campaign; `otherwise`: what is done without one."""
+    names = ", ".join(path.stem for path in shipped_campaigns())
+    parser.add_argument(
+        "campaign",
+        type=campaign_file,
+        nargs="?" if otherwise else None,
+        metavar="CAMPAIGN",
+        help=f"a file, or one of {names}" + (f" [{otherwise}]" if otherwise else ""),
+    )
     parser.add_argument(
         "-k",
         dest="expression",
         metavar="EXPRESSION",
         help="only the runs whose names it is true of, as pytest chooses tests: 'cyclic and not fq1000'",
     )
+
+
+def shipped_campaigns() -> list[Path]:
+    """The files of the shipped campaigns, by name."""
+    return sorted(CAMPAIGNS.glob("*.yml"))
 
 
 def campaign_file(text: str) -> Path:

@@ -1,12 +1,13 @@
 """``rtrun plan``: every run of a campaign and how long it takes, without a target."""
 
 import argparse
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rtfiles.quantities import duration, percent
-from rtrun.commands._arguments import add_campaign, add_json
+from rtrun.commands._arguments import add_campaign, add_json, shipped_campaigns
 from rtrun.commands._question import probability_argument
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class _Forecast:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_campaign(parser)
+    add_campaign(parser, otherwise="list those")
     parser.add_argument(
         "--assume-rate",
         type=probability_argument,
@@ -48,8 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the plan. Raises UsageError for a rate without a goal."""
-
+    """Print the plan, or without a campaign those that are shipped. Raises UsageError for a rate without a goal."""
     from rtfiles.errors import UsageError
     from rtfiles.output import counted, print_json, print_line
     from rtrun.plan.campaign import read_campaign, topology_path
@@ -59,6 +59,10 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.plan.topology.reading import read_topology
     from rtrun.report.topology_text import topology_lines
 
+    if args.campaign is None:
+        if args.expression is not None or args.assume_rate is not None:
+            raise UsageError("-k, --assume-rate: of which campaign? Name it; rtrun plan alone lists those there are")
+        return _list_shipped(as_json=args.json)
     campaign, runs = read_campaign(args.campaign)
     runs = select(runs, args.expression)
     if args.assume_rate is not None and campaign.until is None:
@@ -102,6 +106,33 @@ def run(args: argparse.Namespace) -> int:
             print_line(line)
         for line in _load_lines(_slowest_load_s(campaign.until, runs, forecasts)):
             print_line(line)
+    return 0
+
+
+def _list_shipped(*, as_json: bool) -> int:
+    """Print the shipped campaigns, and what each is for: the comment that its file begins with."""
+    import textwrap
+
+    from rtfiles.invocation import as_called
+    from rtfiles.output import console, print_json, print_line
+
+    purposes = {}
+    for path in shipped_campaigns():
+        lines = path.read_text(encoding="utf-8").splitlines()
+        comment = itertools.takewhile(lambda line: line.startswith("#"), lines)
+        purposes[path.stem] = " ".join(line.removeprefix("#").strip() for line in comment)
+    if as_json:
+        campaigns = [{"campaign": name, "purpose": purpose} for name, purpose in purposes.items()]
+        print_json({"schema": 1, "campaigns": campaigns})
+        return 0
+    indent = max(map(len, purposes)) + 2
+    for name, purpose in purposes.items():
+        first, *rest = textwrap.wrap(purpose, max(40, console().width - indent))
+        print_line(f"{name:<{indent}}{first}")
+        for line in rest:
+            print_line(" " * indent + line)
+    call = as_called("rtrun")
+    print_line(f"next: {call} plan NAME lists the runs of one; {call} run NAME --target TARGET.yml measures it")
     return 0
 
 

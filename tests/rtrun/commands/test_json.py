@@ -25,6 +25,7 @@ COMMANDS = {
     "history archive": {"points"},
     "trends archive": {"changes"},
     "bisect archive --by kernel --order kernels.txt": {"worse"},
+    "plan": {"campaigns"},
     "plan demo": {"runs"},
     "run demo --collect-only": {"runs"},
 }

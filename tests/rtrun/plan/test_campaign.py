@@ -1,5 +1,7 @@
 """Campaign files and the plans that follow from them."""
 
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -143,6 +145,22 @@ def test_a_name_that_leaves_the_results_folder_is_refused(tmp_path):
 def test_shipped_campaigns_plan(path, capsys):
     assert main(["plan", str(path)]) == 0
     assert "runs, " in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_plan_alone_lists_the_shipped_campaigns_and_what_each_is_for(capsys):
+    assert main(["plan"]) == 0
+    printed = capsys.readouterr().out
+    listed = re.findall(r"^(\S+)  +(.+)$", printed.partition("\nnext: ")[0], re.M)
+    assert [name for name, _ in listed] == sorted(path.stem for path in CAMPAIGNS.glob("*.yml"))
+    assert max(map(len, printed.splitlines())) <= 100
+    assert main(["plan", "--json"]) == 0
+    campaigns = json.loads(capsys.readouterr().out)["campaigns"]
+    for (name, first), told in zip(listed, campaigns, strict=True):
+        assert told["campaign"] == name and told["purpose"].startswith(first) and "#" not in told["purpose"]
+        assert told["purpose"].split()[-1] in (CAMPAIGNS / f"{name}.yml").read_text().partition("schema:")[0]
+    for words in (["-k", "cyclic"], ["-k", ""], ["--assume-rate", "0.1"]):
+        assert main(["plan", *words]) == 2
+        assert "of which campaign?" in capsys.readouterr().err
 
 
 def test_exit_status_of_a_bad_campaign(tmp_path, capsys):
