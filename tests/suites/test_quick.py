@@ -70,6 +70,7 @@ def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suit
     assert status == (3 if late else 0), printed
     assert printed.endswith("report: results/quick-2/report.html\n")
     assert late or "P = 0.01, asked for" in (tmp_path / "results/quick-2/report.html").read_text()
+    assert (tmp_path / "results/latest").readlink().name == "quick-2"
     assert "--target boards/here.yml --fresh" in printed
     assert not (tmp_path / "results" / "quick-2" / "target.yml").exists()
     runs = {path.parent.name.partition("_l")[0] for path in tmp_path.glob("results/quick-2/*/run.json")}

@@ -33,6 +33,20 @@ def make_folder(path: Path) -> bool:
     Raises UsageError, with the remedy, where somebody else may change a folder on the path; OSError where a folder
     cannot be made.
     """
+    remedy = f"name a new folder that is yours alone, or take that right away: chown {_name(os.geteuid())}, chmod go-w"
+    return _walk(path, remedy, makes=True)
+
+
+def check_folder(path: Path, remedy: str) -> None:
+    """Check a folder, or a link to one, that nobody named on the command line; `remedy` is what to do otherwise.
+
+    Raises UsageError where somebody else may change it, OSError where there is no such folder.
+    """
+    _walk(path, remedy, makes=False)
+
+
+def _walk(path: Path, remedy: str, *, makes: bool) -> bool:
+    """Check each folder and link on a path, and make those that are missing. Returns whether the last one was made."""
     trusted = _trusted()
     above_program = {str(folder) for folder in _PROGRAM.resolve().parents}
     served = _served_by_others(trusted)
@@ -46,9 +60,9 @@ def make_folder(path: Path) -> bool:
             continue
         place = f"{seen}/{name}" if name else "/"
         if place in served:
-            raise _unsafe(path, place, "is a file system (FUSE) of another user")
+            raise _unsafe(path, place, "is a file system (FUSE) of another user", remedy)
         with contextlib.suppress(FileExistsError):
-            if not os.path.lexists(place):
+            if makes and not os.path.lexists(place):
                 Path(place).mkdir(0o755)
                 is_new = True
         found = os.lstat(place)
@@ -57,7 +71,7 @@ def make_folder(path: Path) -> bool:
             if links > LINKS_MAX:
                 raise UsageError(f"{path}: more than {LINKS_MAX} links lead there")
             if found.st_uid not in trusted:
-                raise _unsafe(path, place, f"is a link that belongs to {_name(found.st_uid)}")
+                raise _unsafe(path, place, f"is a link that belongs to {_name(found.st_uid)}", remedy)
             target = Path(place).readlink()
             if target.is_absolute():
                 seen = ""
@@ -66,12 +80,12 @@ def make_folder(path: Path) -> bool:
         if not stat.S_ISDIR(found.st_mode):
             raise UsageError(f"{path}: {place} is no folder")
         if place not in above_program and (why := _objection(place, found, trusted, is_last=False)):
-            raise _unsafe(path, place, why)
+            raise _unsafe(path, place, why, remedy)
         seen = place.rstrip("/")
     # Where the path ends, after all links and `..`.
     end = seen or "/"
     if end not in above_program and (why := _objection(end, os.lstat(end), trusted, is_last=True)):
-        raise _unsafe(path, end, why)
+        raise _unsafe(path, end, why, remedy)
     return is_new
 
 
@@ -164,8 +178,7 @@ def _is_private(found: os.stat_result) -> bool:
     return False
 
 
-def _unsafe(path: Path, place: str, why: str) -> UsageError:
-    remedy = f"name a new folder that is yours alone, or take that right away: chown {_name(os.geteuid())}, chmod go-w"
+def _unsafe(path: Path, place: str, why: str, remedy: str) -> UsageError:
     return UsageError(f"{path}: others could change what is kept there: {place} {why}: {remedy}")
 
 

@@ -59,10 +59,27 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON, for programs")
 
 
-def add_results(parser: argparse.ArgumentParser, *, files: bool = True) -> None:
-    """The results; `files`: also the files that a suite wrote outside a run."""
+def add_results(parser: argparse.ArgumentParser, *, files: bool = True, latest: bool = False) -> None:
+    """The results; `files`: also files that a suite wrote outside a run; `latest`: else the newest."""
     takes = ", or a .log, .npy or .json of a suite" if files else ""
-    parser.add_argument("results", type=Path, metavar="RESULTS", help=f"folder of runs or one run directory{takes}")
+    parser.add_argument(
+        "results",
+        type=Path,
+        nargs="?" if latest else None,
+        metavar="RESULTS",
+        help=f"folder of runs or one run directory{takes}" + (" [results/latest]" if latest else ""),
+    )
+
+
+def named_or_latest(results: Path | None) -> Path:
+    """The results that the arguments name, else the newest, which a remark names. Raises UsageError as that does."""
+    from rtfiles.output import print_note
+    from rtrun.results.latest import LINK, latest_results
+
+    if results is None:
+        results = latest_results()
+        print_note(f"rtrun: {results}, the newest ({LINK})")
+    return results
 
 
 def add_verbose(parser: argparse.ArgumentParser) -> None:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._arguments import add_json
+from rtrun.commands._arguments import add_json, named_or_latest
 from rtrun.commands._question import add_question, question, time_argument
 
 HELP = "compare two folders of runs, or two sides of one campaign: what shifted, and how sure that is"
@@ -14,7 +14,9 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("a", type=Path, help="folder of runs, run directory, .log or .npy: before")
+    parser.add_argument(
+        "a", type=Path, nargs="?", help="folder of runs, run directory, .log or .npy: before [results/latest]"
+    )
     parser.add_argument("b", type=Path, nargs="?", help="the same: after [another side of the campaign in A]")
     parser.add_argument(
         "--by",
@@ -39,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.judgement.compare import compare_sets, compare_sides
     from rtrun.report.compare import as_json, as_text
 
+    args.a = named_or_latest(args.a)
     asked = question(args, args.a)
     sides = (str(args.a), str(args.b))
     if args.b is None:

@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.results.importers.adopt import adopt
     from rtrun.results.importers.given import UNITS_NS, Given
     from rtrun.results.importers.identity import FIELDS, Identity, read_pattern
+    from rtrun.results.latest import set_latest
     from rtrun.results.record import read_record
     from rtrun.targets.inspection.platform import Platform
 
@@ -70,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
             made = adopt(
                 path, args.results, platform=Platform(args.platform), identity=identity, called=called, given=given
             )
+            set_latest(args.results)
             for folder, left_out in made:
                 record = read_record(folder)
                 failed = f": {record.status}: {record.reason}" if record.reason else ""

@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report import influence
     from rtrun.report.terminal import print_banner
     from rtrun.results import run_directory
+    from rtrun.results.latest import set_latest
     from rtrun.results.record import RunStatus
     from rtrun.targets.config import read_target
 
@@ -76,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
     results: Path = args.results or Path("results") / f"influence-{topology.name}"
     target = TargetFile(config=read_target(args.target), folder=args.target.parent)
     run_directory.make_results(results)
+    set_latest(results)
     with beside_the_answer(args.json):
         statuses = measure_made(_campaign(args, topology.name), target, results)
     bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]

@@ -109,6 +109,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.plan.campaign import plan
     from rtrun.plan.run import UNTRACED
     from rtrun.results import run_directory
+    from rtrun.results.latest import default_results, set_latest
     from rtrun.targets.config import read_target
 
     config = read_target(args.target)
@@ -118,9 +119,10 @@ def run(args: argparse.Namespace) -> int:
     (planned,) = (each for each in plan(campaign, "rtrun observe") if each.trace != UNTRACED)
     if args.list:
         return _list(args, config, planned)
-    results: Path = args.results or Path("results") / config.name
+    results: Path = args.results or default_results(config.name)
     # Otherwise a problem would only show at the end, hours later.
     run_directory.make_results(results)
+    set_latest(results)
     if campaign.until is not None:
         from rtrun.commands._boards import TargetFile, print_failed
         from rtrun.commands._until import measure_until

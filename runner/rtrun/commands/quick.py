@@ -58,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report import page
     from rtrun.report.contents import contents
     from rtrun.results import run_directory
+    from rtrun.results.latest import set_latest
     from rtrun.targets.config import parse_target, read_target
     from rtrun.targets.inspection import rt_readiness
 
@@ -70,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
         campaign = _campaign(link, args)
     print_status("")
     results = run_directory.make_new_results(args.results)
+    set_latest(results)
     file = results / "target.yml" if data else file
     if data:
         atomic.write_text(file, yaml.safe_dump(data, sort_keys=False))

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._arguments import add_results, add_verbose
+from rtrun.commands._arguments import add_results, add_verbose, named_or_latest
 from rtrun.commands._question import add_question, ask
 
 HELP = "write one file: answer, plots, figures"
@@ -24,7 +24,7 @@ _ENDINGS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_results(parser)
+    add_results(parser, latest=True)
     parser.add_argument("--format", choices=list(_ENDINGS), help="[as FILE ends, else html]")
     parser.add_argument(
         "--output", type=Path, metavar="FILE", help="file to write, - for standard output [beside RESULTS]"
@@ -42,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report.contents import contents
     from rtrun.report.plots import pictures
 
+    args.results = named_or_latest(args.results)
     # The other formats contain no worst cases.
     format_ = _format(args.format, args.output)
     analysed = ask(args, bounds=format_ in ("html", "markdown", "json"))

@@ -57,10 +57,11 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.plan.campaign import read_campaign
     from rtrun.plan.selection import select
     from rtrun.results import run_directory
+    from rtrun.results.latest import default_results, set_latest
 
     campaign, runs = read_campaign(args.campaign)
     chosen = select(runs, args.expression)
-    results: Path = args.results or Path("results") / campaign.name
+    results: Path = args.results or default_results(campaign.name)
     if args.fresh:
         results = run_directory.unused_results(results)
     if args.collect_only:
@@ -70,6 +71,7 @@ def run(args: argparse.Namespace) -> int:
         results = run_directory.make_new_results(results)
     else:
         run_directory.make_results(results)
+    set_latest(results)
     with beside_the_answer(args.json):
         if campaign.until is None:
             statuses = _measure(campaign, runs, chosen, targets, args, results)

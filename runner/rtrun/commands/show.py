@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtrun.commands._arguments import add_json, add_results
+from rtrun.commands._arguments import add_json, add_results, named_or_latest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -27,7 +27,7 @@ _TIMES = ("min", "mean", "max", "p50", "p90", "p99", "p99.9")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_results(parser)
+    add_results(parser, latest=True)
     add_json(parser)
 
 
@@ -37,6 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import console, print_json
 
+    args.results = named_or_latest(args.results)
     atexit.register(_leave_garbage)
     data, answer, refused = _read(args.results)
     if args.json:

@@ -3,7 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
-from rtrun.commands._arguments import add_json, add_results
+from rtrun.commands._arguments import add_json, add_results, named_or_latest
 from rtrun.commands._question import add_question, ask
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_results(parser)
+    add_results(parser, latest=True)
     add_json(parser)
     add_question(parser)
 
@@ -29,6 +29,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.judgement.standings import standings
     from rtrun.report.standings import as_data
 
+    args.results = named_or_latest(args.results)
     study = ask(args, bounds=False)
     if args.json:
         groups = as_data(standings(study))

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._arguments import add_json, add_results
+from rtrun.commands._arguments import add_json, add_results, named_or_latest
 from rtrun.commands._question import add_of
 from rtrun.kinds.lateness import LATENESS
 
@@ -16,7 +16,7 @@ EXAMPLES = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_results(parser, files=False)
+    add_results(parser, files=False, latest=True)
     parser.add_argument("--all", action="store_true", help=f"every outlier with its parts, not the {SHOWN} worst")
     add_json(parser)
     add_of(parser, "default: that of the campaign's goal, else what its traces are of")
@@ -36,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.results.reading import find_source
     from rtrun.results.record import read_record
 
+    args.results = named_or_latest(args.results)
     source = find_source(args.results)
     if not source.folders:
         refuse_trace_cmd(args.results)

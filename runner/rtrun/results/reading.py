@@ -148,7 +148,8 @@ def find_source(path: Path) -> Source:
     names = {child.name for child in every if is_closed(child)}
     closed = tuple(folder for folder in folders if folder.name in names)
     if not closed:
-        below = sorted({str(record.parent.parent) for record in path.glob(f"*/*/{FILE}")})
+        holders = {record.parent.parent for record in path.glob(f"*/*/{FILE}")}
+        below = sorted(str(folder) for folder in holders if not folder.is_symlink())
         raise UsageError(
             f"{path}: no finished run (one with {FILE}) in it{', give ' if below else ''}{' or '.join(below)}"
         )

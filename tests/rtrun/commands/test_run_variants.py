@@ -40,8 +40,9 @@ def test_each_variant_runs_its_own_build_in_turn_and_the_two_are_compared(builds
     assert sorted(record["variant"] for record in records) == ["new", "new", "old", "old"]
     in_order = [record["variant"] for record in sorted(records, key=lambda record: record["start_time"])]
     assert set(in_order[:2]) == set(in_order[2:]) == {"new", "old"}, "each repeat holds both"
+    assert Path("results/latest").readlink() == Path("ab")
     capsys.readouterr()
-    assert main(["compare", "results/ab"]) == 0
+    assert main(["compare"]) == 0
     out = capsys.readouterr().out.splitlines()
     assert set(out[0].replace(",", "").split()[1::2]) == {"old", "new"}, out[0]
     # A banner may come before it, where this machine is virtual.
