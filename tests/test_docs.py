@@ -49,6 +49,8 @@ NOT_RUN = {
     "rtrun new-target": "a board; tests/rtrun/commands/test_new_target.py",
     "rtrun compare RESULTS --by kernel": "results on two kernels; tests/rtrun/judgement/test_sides.py",
     "rtrun compare RESULTS --by middleware": "results through two; tests/suites/test_ros2.py",
+    "rtrun compare --with-last": "results of two days; tests/rtrun/commands/test_latest.py",
+    "rtrun compare RESULTS --with-last": "these",
     "rtrun compare RESULTS --by trace": "results with traces; tests/rtrun/report/test_tracing_cost.py",
     "rtrun why": "results with traces; tests/rtrun/commands/test_why.py",
 }

@@ -73,13 +73,14 @@ def add_results(parser: argparse.ArgumentParser, *, files: bool = True, latest: 
 
 def named_or_latest(results: Path | None) -> Path:
     """The results that the arguments name, else the newest, which a remark names. Raises UsageError as that does."""
+    if results is not None:
+        return results
     from rtfiles.output import print_note
     from rtrun.results.latest import LINK, latest_results
 
-    if results is None:
-        results = latest_results()
-        print_note(f"rtrun: {results}, the newest ({LINK})")
-    return results
+    newest = latest_results()
+    print_note(f"rtrun: {newest}, the newest ({LINK})")
+    return newest
 
 
 def add_verbose(parser: argparse.ArgumentParser) -> None:

@@ -9,7 +9,7 @@ from rtrun.commands._question import add_question, question, time_argument
 HELP = "compare two folders of runs, or two sides of one campaign: what shifted, and how sure that is"
 EXAMPLES = (
     "rtrun compare results/before results/after",
-    "rtrun compare results/brakes --by middleware",
+    "rtrun compare --with-last",
 )
 
 
@@ -18,6 +18,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "a", type=Path, nargs="?", help="folder of runs, run directory, .log or .npy: before [results/latest]"
     )
     parser.add_argument("b", type=Path, nargs="?", help="the same: after [another side of the campaign in A]")
+    parser.add_argument(
+        "--with-last",
+        action="store_true",
+        help="compare A with the same campaign as it was measured before, into a folder next to it: that is before",
+    )
     parser.add_argument(
         "--by",
         choices=("variant", "kernel", "trace", "middleware"),
@@ -40,10 +45,17 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.output import print_line, print_text
     from rtrun.judgement.compare import compare_sets, compare_sides
     from rtrun.report.compare import as_json, as_text
+    from rtrun.results.latest import measured_before
 
+    if args.with_last and (args.b or args.by or args.sides):
+        raise UsageError("--with-last: goes with one folder at most, and without --by and --sides")
     args.a = named_or_latest(args.a)
+    if args.with_last:
+        args.a, args.b = measured_before(args.a), args.a
     asked = question(args, args.a)
     sides = (str(args.a), str(args.b))
+    if args.with_last and not args.json:
+        print_line(f"A: {sides[0]}, B: {sides[1]}")
     if args.b is None:
         sides, compared = compare_sides(args.a, args.by, args.sides, asked, margin_ns=args.margin)
         if not args.json:

@@ -1,5 +1,6 @@
 """`results/latest`: who sets it, who takes it, and when it is not followed."""
 
+import json
 import os
 from pathlib import Path
 
@@ -115,6 +116,71 @@ def test_a_folder_of_that_name_stays(results: Path, capsys: pytest.CaptureFixtur
     write_campaign(results / "latest", n=300)
     set_latest(Path("results/brakes"))
     assert not LINK.is_symlink() and main(["show"]) == 2
+
+
+def started(folder: Path, day: str, campaign: str = "brakes") -> None:
+    """Let all runs of a folder have been started on a day."""
+    for path in folder.glob("*/run.json"):
+        data = json.loads(path.read_text())
+        start, end = (f"{day}T{hour}:00:00+00:00" if day else "unknown" for hour in (10, 11))
+        data |= {"campaign": campaign, "start_time": start, "end_time": end}
+        path.write_text(json.dumps(data))
+
+
+@pytest.fixture
+def history(results: Path) -> Path:
+    """Five folders: brakes were measured on three days, the newest of them the second time; arm in between."""
+    for name, day in {
+        "first": "2026-11-02",
+        "zero": "2026-11-01",
+        "brakes": "2026-11-04",
+        "later": "2026-11-05",
+    }.items():
+        if name != "brakes":
+            write_campaign(results / name, n=300, seed=len(name))
+        started(results / name, day)
+    started(results / "arm", "2026-11-03", "arm")
+    (results / "a-note").touch()
+    (results / "empty").mkdir()
+    (results / "same").symlink_to("brakes")
+    return results
+
+
+def test_the_newest_is_compared_with_the_time_before(history: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "--with-last"]) == 0
+    compared = capsys.readouterr().out.splitlines()
+    assert compared[0] == "A: results/first, B: results/brakes"
+    assert main(["compare", "results/first", "results/brakes"]) == 0
+    assert capsys.readouterr().out.splitlines() == compared[1:]
+
+
+def test_a_named_folder_is_compared_with_the_time_before_it(
+    history: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for named, before in {"later": "brakes", "first": "zero"}.items():
+        assert main(["compare", f"results/{named}", "--with-last"]) == 0
+        assert capsys.readouterr().out.startswith(f"A: results/{before}, B: results/{named}\n")
+    assert main(["compare", "results/zero", "--with-last"]) == 2
+    assert "the campaign brakes was not measured before" in capsys.readouterr().err
+    assert main(["compare", "results/zero", "--with-last", "--json"]) == 2
+    assert capsys.readouterr().out == ""
+    started(history / "brakes", "")
+    assert main(["compare", "--with-last"]) == 2
+    assert "when it was measured is not known" in capsys.readouterr().err
+
+
+def test_with_last_takes_one_folder(history: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for more in (["results/arm", "results/brakes"], ["--by", "kernel"], ["--sides", "a", "b"]):
+        assert main(["compare", "--with-last", *more]) == 2
+        assert "--with-last: goes with one folder at most" in capsys.readouterr().err
+
+
+@pytest.mark.root("gives a folder to another user")
+def test_what_another_user_put_next_to_it_is_no_time_before(history: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    os.chown(history / "first", NOBODY, NOBODY)
+    assert main(["compare", "--with-last"]) == 2
+    shown = capsys.readouterr()
+    assert shown.out == "" and "12345: name the results that you mean" in shown.err
 
 
 @pytest.mark.parametrize("to", ["/", "..", ".", "../elsewhere", "latest", "other", "missing", "a-file", "brakes/001-x"])
