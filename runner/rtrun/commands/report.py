@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output", type=Path, metavar="FILE", help="file to write, - for standard output [beside RESULTS]"
     )
+    parser.add_argument("--open", action="store_true", help="open the page in a browser")
     add_question(parser)
     add_verbose(parser)
 
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the report, and print the verdicts. Raises UsageError when there is nothing to report on."""
     from rtfiles import atomic
+    from rtfiles.errors import UsageError
     from rtfiles.output import console, print_bytes, print_line, print_note, print_status
     from rtrun.judgement import gate
     from rtrun.report import formats, page, sentences
@@ -43,8 +45,10 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.report.plots import pictures
 
     args.results = named_or_latest(args.results)
-    # The other formats contain no worst cases.
     format_ = _format(args.format, args.output)
+    if args.open and (format_ != "html" or args.output == Path("-")):
+        raise UsageError("--open: opens a page in a browser: write one, with --format html and into a file")
+    # The other formats contain no worst cases.
     analysed = ask(args, bounds=format_ in ("html", "markdown", "json"))
     written = contents(analysed)
     judged = gate.gate(analysed)
@@ -84,7 +88,23 @@ def run(args: argparse.Namespace) -> int:
         print_line(f"{case.about}: {case.in_full}")
     print_line(f"next: {written.next_step}")
     print_line(str(output))
+    if format_ == "html":
+        _offer(output, opens=args.open)
     return 0
+
+
+def _offer(page: Path, *, opens: bool) -> None:
+    """Print the address of a page, which terminals make a link of, and open it in a browser where that is asked for."""
+    from rtfiles.output import print_line, print_note
+
+    address = page.absolute().as_uri()
+    print_line(address)
+    if not opens:
+        return
+    import webbrowser
+
+    if not webbrowser.open(address):
+        print_note("rtrun: --open: no browser was found: name one in the variable BROWSER, or open that address")
 
 
 def _format(given: str | None, output: Path | None) -> str:

@@ -2,12 +2,16 @@
 
 import csv
 import hashlib
+import importlib
 import io
 import json
 import os
 import re
 import shutil
+import webbrowser
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from urllib.parse import unquote
 
 import pyarrow.parquet
 import pytest
@@ -145,12 +149,51 @@ def test_a_report_is_written_beside_the_results(capsys, tmp_path):
     assert (
         printed[0].startswith("It is not decided whether the deadline of 400 us is met. Asked: ")
         and printed[1].startswith("oneshot_timer  none of 300 late, worst ")
-        and printed[-2].startswith("next: measure more: ")
-        and printed[-1] == str(tmp_path / "report.html")
+        and printed[-3].startswith("next: measure more: ")
+        and printed[-2:] == [str(tmp_path / "report.html"), f"file://{tmp_path}/report.html"]
     )
     assert "<html" in (tmp_path / "report.html").read_text()
     pictures = sorted(path.name for path in folder.glob("*.jpg"))
     assert pictures == [path.with_suffix(".jpg").name for path in sorted(folder.glob("*.log"))] and pictures
+
+
+def with_browser(folder, monkeypatch, script):
+    """A browser that keeps the address it was given."""
+    browser = folder / "browser"
+    browser.write_text(f"#!/bin/sh\n{script}\n")
+    browser.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    importlib.reload(webbrowser)
+    return folder / "opened"
+
+
+def test_open_opens_the_page_that_is_written(campaign, tmp_path, monkeypatch, capsys):
+    opened = with_browser(tmp_path, monkeypatch, f'printf %s "$1" >{tmp_path}/opened')
+    page = tmp_path / "a page; #1 ä.html"
+    assert main(["report", str(campaign), "--output", str(page), "--open"]) == 0
+    address = capsys.readouterr().out.splitlines()[-1]
+    assert opened.read_text() == address and address.isascii()
+    assert Path(unquote(address.removeprefix("file://"))) == page
+
+
+def test_a_page_is_opened_only_where_that_is_asked_for(campaign, tmp_path, monkeypatch, capsys):
+    opened = with_browser(tmp_path, monkeypatch, f"touch {tmp_path}/opened")
+    page = str(tmp_path / "a.html")
+    assert main(["report", str(campaign), "--output", page]) == 0
+    for words in (["--output", "-"], ["--output", str(tmp_path / "a.md")], ["--format", "csv"]):
+        assert main(["report", str(campaign), *words, "--open"]) == 2
+        assert "--open: opens a page in a browser" in capsys.readouterr().err
+    assert not opened.exists()
+    assert main(["report", str(campaign), "--output", str(tmp_path / "a.csv")]) == 0
+    assert "file://" not in capsys.readouterr().out
+
+
+def test_without_a_browser_the_page_is_there_and_it_says_so(campaign, tmp_path, monkeypatch, capsys):
+    with_browser(tmp_path, monkeypatch, "exit 1")
+    monkeypatch.setattr("webbrowser._tryorder", [])
+    page = tmp_path / "a.html"
+    assert main(["report", str(campaign), "--output", str(page), "--open"]) == 0
+    assert page.is_file() and "no browser was found" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
