@@ -35,8 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the report, and print the verdicts. Raises UsageError when there is nothing to report on."""
-    from rtfiles import atomic
+    """Print the verdicts, and write the report. Raises UsageError when there is nothing to report on."""
     from rtfiles.errors import UsageError
     from rtfiles.output import console, print_bytes, print_line, print_note, print_status
     from rtrun.judgement import gate
@@ -67,16 +66,6 @@ def run(args: argparse.Namespace) -> int:
     if args.output == Path("-"):
         print_bytes(content)
         return 0
-    ending = _ENDINGS[format_]
-    folder = args.results if args.results.is_dir() else args.results.parent
-    name = "report" if args.results.is_dir() else f"{args.results.stem}.report"
-    output = args.output or folder / f"{name}.{ending}"
-    atomic.write_named(output, content)
-    logs = [
-        log for place in analysed.source.folders for log in sorted(place.glob("*.log")) if log.name != "console.log"
-    ]
-    for trouble in pictures.draw_all(logs or ([args.results] if args.results.suffix == ".log" else [])):
-        print_note(f"not drawn: {trouble}")
     if written.banner:
         print_line(written.banner)
     print_line(written.answer)
@@ -87,10 +76,38 @@ def run(args: argparse.Namespace) -> int:
     for case in judged.cases if args.verbose else ():
         print_line(f"{case.about}: {case.in_full}")
     print_line(f"next: {written.next_step}")
-    print_line(str(output))
+    output = _write(args, _ENDINGS[format_], content)
+    logs = [
+        log for place in analysed.source.folders for log in sorted(place.glob("*.log")) if log.name != "console.log"
+    ]
+    for trouble in pictures.draw_all(logs or ([args.results] if args.results.suffix == ".log" else [])):
+        print_note(f"not drawn: {trouble}")
     if format_ == "html":
         _offer(output, opens=args.open)
+    else:
+        print_line(str(output))
     return 0
+
+
+def _write(args: argparse.Namespace, ending: str, content: bytes) -> Path:
+    """Write the report to the file that was named, else beside the results. Returns the file.
+
+    Raises UsageError where it cannot be written; results may be in a folder that only others write to.
+    """
+    from rtfiles import atomic
+    from rtfiles.errors import UsageError
+
+    if args.output is not None:
+        atomic.write_named(args.output, content)
+        return args.output
+    folder = args.results if args.results.is_dir() else args.results.parent
+    name = "report" if args.results.is_dir() else f"{args.results.stem}.report"
+    output: Path = folder / f"{name}.{ending}"
+    try:
+        atomic.write_named(output, content)
+    except UsageError as error:
+        raise UsageError(f"{error}: name another file by --output") from error
+    return output
 
 
 def _offer(page: Path, *, opens: bool) -> None:

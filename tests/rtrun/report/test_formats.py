@@ -8,6 +8,8 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 import webbrowser
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -149,12 +151,38 @@ def test_a_report_is_written_beside_the_results(capsys, tmp_path):
     assert (
         printed[0].startswith("It is not decided whether the deadline of 400 us is met. Asked: ")
         and printed[1].startswith("oneshot_timer  none of 300 late, worst ")
-        and printed[-3].startswith("next: measure more: ")
-        and printed[-2:] == [str(tmp_path / "report.html"), f"file://{tmp_path}/report.html"]
+        and printed[-2].startswith("next: measure more: ")
+        and printed[-1] == f"file://{tmp_path}/report.html"
     )
     assert "<html" in (tmp_path / "report.html").read_text()
     pictures = sorted(path.name for path in folder.glob("*.jpg"))
     assert pictures == [path.with_suffix(".jpg").name for path in sorted(folder.glob("*.log"))] and pictures
+
+
+def test_where_it_cannot_be_written_the_answer_is_printed(capsys, tmp_path):
+    oneshot_run(tmp_path, "a", latencies(300, 1), logs=True)
+    (tmp_path / "report.html").mkdir()
+    for words, remedy in (([], ": name another file by --output"), (["--output", str(tmp_path / "report.html")], "")):
+        assert main(["report", str(tmp_path), *words]) == 2
+        printed = capsys.readouterr()
+        assert "NEEDS MORE" in printed.out and "file://" not in printed.out
+        assert printed.err == f"rtrun: {tmp_path}/report.html: cannot be written: Is a directory{remedy}\n"
+    assert main(["report", str(tmp_path), "--output", str(tmp_path / "b.html")]) == 0
+
+
+@pytest.mark.root("gives results to another user")
+def test_who_may_not_write_beside_the_results_gets_the_answer(tmp_path):
+    """Neither the report nor pictures of logs can be written there."""
+    results = tmp_path / "results"
+    for path in (oneshot_run(results, "a", latencies(300, 1), logs=True), results):
+        os.chown(path, 12345, 12345)
+    argv = ["setpriv", "--bounding-set=-dac_override", sys.executable, "-m", "rtrun.cli", "report", str(results)]
+    done = subprocess.run(argv, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "NEEDS MORE" in done.stdout
+    assert (
+        done.stderr
+        == f"rtrun: {results}/report.html: cannot be written: Permission denied: name another file by --output\n"
+    )
 
 
 def with_browser(folder, monkeypatch, script):
