@@ -1,5 +1,6 @@
 """`rtrun quick` on this machine: without any file, from what it finds to a first answer, and files to go on from."""
 
+import json
 import re
 import shlex
 import shutil
@@ -78,6 +79,19 @@ def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suit
 
 
 @pytest.mark.root
+@pytest.mark.root
+def test_programs_get_the_same_as_json(quick, suites, tmp_path):
+    words = ["--for", "2s", "--suites", suites, "--suite", "cyclic_timer_tests", "--json"]
+    _, printed, _ = quick("--deadline", "60s", *words)
+    data = json.loads(printed)
+    assert {"schema", "platform", "results", "deadline_ns", "in_the_way", "why_late", "left_out"} < data.keys()
+    assert (data["results"], data["deadline_ns"]) == ("results/quick", 60 * 10**9)
+    kept_from_its_rate(tmp_path / "results" / "quick")
+    assert len(data["groups"]) == [*data["runs"].values()].count("ok") <= len(data["runs"]) != 0
+    for group in data["groups"]:
+        assert group["n"] > 0 and (group["p_below"] is None) == (group["no_p"] is not None)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -2,7 +2,9 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
+from rtrun.commands._arguments import add_json
 from rtrun.commands._question import time_argument
 from rtrun.plan.quantities import whole_interval_us
 
@@ -42,12 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATTERN",
         help="read these from the files' names, as '{board}-{kernel}-{start}.txt'; with folders '{board}/{start}.txt'",
     )
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Import every file; an unreadable file does not stop the others. Raises UsageError naming such files."""
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_line
+    from rtfiles.output import print_json, print_line
     from rtrun.results.importers.adopt import adopt
     from rtrun.results.importers.given import UNITS_NS, Given
     from rtrun.results.importers.identity import FIELDS, Identity, read_pattern
@@ -62,8 +65,9 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--interval: {error}") from error
     given = Given(unit_ns=UNITS_NS[args.unit] if args.unit else None, interval_us=interval_us)
     pattern = read_pattern(args.names) if args.names else None
-    refused = []
+    refused: list[str] = []
     unknown: dict[str, list[str]] = {}
+    runs: list[dict[str, Any]] = []
     for path in args.files:
         try:
             identity = Identity(**{**where, **(pattern.read(path) if pattern else {})})
@@ -74,12 +78,25 @@ def run(args: argparse.Namespace) -> int:
             set_latest(args.results)
             for folder, left_out in made:
                 record = read_record(folder)
+                runs.append(
+                    {
+                        "run": str(folder),
+                        "file": str(path),
+                        "status": record.status,
+                        "reason": record.reason,
+                        "not_known": list(left_out),
+                    }
+                )
+                if args.json:
+                    continue
                 failed = f": {record.status}: {record.reason}" if record.reason else ""
                 print_line(f"{folder}{failed}")
                 for text in left_out:
                     unknown.setdefault(text, []).append(folder.name)
         except UsageError as error:
             refused.append(str(error))
+    if args.json:
+        print_json({"schema": 1, "runs": runs, "refused": refused})
     # Printed once for all files: there may be years of them.
     for text, names in unknown.items():
         print_line(f"    not known of {names[0] if len(names) == 1 else f'{len(names)} runs'}: {text}")

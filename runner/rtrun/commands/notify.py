@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rtrun.commands._archive import add_archive, add_deadline, read_with_deadline
+from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_confidence
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_deadline(parser)
     add_confidence(parser)
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -41,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.config import load
     from rtfiles.errors import InfrastructureError, UsageError
-    from rtfiles.output import counted, print_line
+    from rtfiles.output import counted, print_json, print_line
     from rtrun.archive.extra import check_extra
 
     check_extra()
@@ -65,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
             farm = None
             failures.append(str(error))
         alarms += board_alarms(boards_of(archive.runs, farm), archive.notes)
+    told: list[dict[str, str]] = []
     messages = read_told(archive.store)
     check_memory(archive.store, messages, len(names))
     for receiver in config.receivers:
@@ -77,14 +80,20 @@ def run(args: argparse.Namespace) -> int:
         except (InfrastructureError, UsageError) as error:
             failures.append(str(error))
             continue
-        for alarm in new:
-            print_line(f"{receiver.name} was told: {alarm.about}: {alarm.size}")
-    for alarm in alarms:
-        if alarm.known:
-            print_line(f"known: {alarm.about}: {alarm.known}")
+        told += [{"receiver": receiver.name, "about": alarm.about, "size": alarm.size} for alarm in new]
+        if not args.json:
+            for alarm in new:
+                print_line(f"{receiver.name} was told: {alarm.about}: {alarm.size}")
+    known = [{"about": alarm.about, "reason": alarm.known} for alarm in alarms if alarm.known]
+    wrong = sum(alarm.kind != "new" for alarm in alarms)
+    if args.json:
+        print_json({"schema": 1, "wrong": wrong, "told": told, "known": known, "failures": failures})
+    for each in () if args.json else known:
+        print_line(f"known: {each['about']}: {each['reason']}")
     if failures:
         raise InfrastructureError("\n".join(failures))
-    print_line(f"{counted(sum(alarm.kind != 'new' for alarm in alarms), 'thing')} wrong")
+    if not args.json:
+        print_line(f"{counted(wrong, 'thing')} wrong")
     return 0
 
 

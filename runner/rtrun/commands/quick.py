@@ -5,9 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rtrun.commands._arguments import add_json
 from rtrun.commands._question import time_argument
 
 if TYPE_CHECKING:
+    from rtrun.judgement.groups import Group
     from rtrun.judgement.study import Study
     from rtrun.targets.inspection.rt_readiness import CheckResult
     from rtrun.targets.link import Link
@@ -43,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--suites", type=Path, metavar="FOLDER", help="of rtgen suites build [build/suites/host]")
     parser.add_argument("--results", type=Path, default=Path("results/quick"), metavar="FOLDER", help="[results/quick]")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     import yaml
 
     from rtfiles import atomic
-    from rtfiles.output import print_line, print_status
+    from rtfiles.output import beside_the_answer, print_json, print_line, print_status
     from rtrun.commands._boards import TargetFile, measure_made, print_failed
     from rtrun.commands._link import linked
     from rtrun.judgement.study import study
@@ -75,17 +78,22 @@ def run(args: argparse.Namespace) -> int:
     file = results / "target.yml" if data else file
     if data:
         atomic.write_text(file, yaml.safe_dump(data, sort_keys=False))
-    statuses = measure_made(campaign, TargetFile(config=config, folder=file.parent), results)
+    with beside_the_answer(args.json):
+        statuses = measure_made(campaign, TargetFile(config=config, folder=file.parent), results)
     print_status("writing the report")
     examined = study(results, Question(deadline_ns=args.deadline, probability=ASKED[0], is_deadline_stated=True))
     report = results / "report.html"
     atomic.write_named(report, page.html(examined, contents(examined)).encode("utf-8", "replace"))
     print_status("")
-    _print(examined, findings, results, file)
-    status = print_failed(statuses)
-    if config.kind == "local" and args.policy is None and campaign["common"]["policy"] == NO_REAL_TIME:
-        print_line(f"to measure with real-time priorities, and trace late values: {_as_root()}")
-    print_line(f"report: {report}")
+    if args.json:
+        print_json(_as_data(examined, findings, results) | {"runs": statuses})
+    else:
+        _print(examined, findings, results, file)
+    with beside_the_answer(args.json):
+        status = print_failed(statuses)
+        if config.kind == "local" and args.policy is None and campaign["common"]["policy"] == NO_REAL_TIME:
+            print_line(f"to measure with real-time priorities, and trace late values: {_as_root()}")
+        print_line(f"report: {report}")
     return status
 
 
@@ -164,6 +172,52 @@ def _can_trace(link: "Link") -> bool:
     return link.run(["sh", "-c", "[ -w /sys/kernel/tracing/instances ]"]).status == 0
 
 
+def _proven(study: "Study") -> "list[tuple[Group, str | None]]":
+    """The groups of a study, each with the reason why no P is proven of it; None: there is one."""
+    proven = []
+    for group in study.groups:
+        verdict, why = group.verdict, group.undecidable
+        if verdict is not None:
+            why = verdict.refused or (f"{verdict.change.what}: {verdict.change.text}" if verdict.change else None)
+        proven.append((group, why))
+    return proven
+
+
+def _why_late(study: "Study") -> str | None:
+    from rtrun.report import causes
+
+    ranking, explained, _ = causes.ranked(study.source)
+    return causes.table(ranking, explained).outcome if explained else None
+
+
+def _as_data(study: "Study", findings: "list[CheckResult]", results: Path) -> dict[str, Any]:
+    """What `_print` prints, as docs/formats.md describes it."""
+    from rtrun.targets.inspection import rt_readiness
+
+    groups = [
+        {
+            "group": group.label,
+            "n": verdict.n if (verdict := group.verdict) else group.n,
+            "misses": verdict.misses if verdict else None,
+            "p_below": verdict.upper if verdict and not why else None,
+            "no_p": why,
+            "worst_ns": verdict.worst_ns if verdict else None,
+        }
+        for group, why in _proven(study)
+    ]
+    return {
+        "schema": 1,
+        "platform": study.platform,
+        "results": str(results),
+        "deadline_ns": study.question.deadline_ns,
+        "confidence": study.question.confidence,
+        "groups": groups,
+        "left_out": study.left_out,
+        "why_late": _why_late(study),
+        "in_the_way": [each.check.name for each in rt_readiness.grave_faults(findings)],
+    }
+
+
 def _print(study: "Study", findings: "list[CheckResult]", results: Path, target: Path) -> None:
     """What was late and how often, how often it may be late, what prevents real time, and how to go on."""
     import shlex
@@ -172,7 +226,7 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     from rtfiles.output import console, print_line
     from rtfiles.quantities import one_in
     from rtrun.judgement.study import study as examine
-    from rtrun.report import causes, sentences
+    from rtrun.report import sentences
     from rtrun.report.scenarios import scenarios
     from rtrun.report.terminal import print_banner
     from rtrun.targets.inspection import rt_readiness
@@ -188,9 +242,8 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
         asked = replace(study.question, probability=probability)
         answers = [each.answer for each in scenarios(examine(results, asked, bounds=False))]
         print_line(sentences.answers_in_words(answers, one_in(probability)))
-    ranking, explained, _ = causes.ranked(study.source)
-    if explained:
-        print_line(f"why it was late: {causes.table(ranking, explained).outcome}")
+    if why_late := _why_late(study):
+        print_line(f"why it was late: {why_late}")
     grave = [each.check.name for each in rt_readiness.grave_faults(findings)]
     folder, file, call = shlex.quote(str(results)), shlex.quote(str(target)), as_called("rtrun")
     explain = f"; {call} check-rt --target {file} says why, and the remedy"

@@ -97,9 +97,10 @@ def _write(args: argparse.Namespace, ending: str, content: bytes) -> Path:
     from rtfiles import atomic
     from rtfiles.errors import UsageError
 
-    if args.output is not None:
-        atomic.write_named(args.output, content)
-        return args.output
+    named: Path | None = args.output
+    if named is not None:
+        atomic.write_named(named, content)
+        return named
     folder = args.results if args.results.is_dir() else args.results.parent
     name = "report" if args.results.is_dir() else f"{args.results.stem}.report"
     output: Path = folder / f"{name}.{ending}"

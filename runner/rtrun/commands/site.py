@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from rtrun.commands._archive import add_archive, add_deadline, read_with_deadline
+from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_confidence, argument
 from rtrun.targets.address import check_server
 
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST:PORT",
         help="of a labgrid farm whose places are on the page of boards, too [LG_COORDINATOR, where that is set]",
     )
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     import os
 
     from rtfiles.errors import InfrastructureError, UsageError
-    from rtfiles.output import print_line
+    from rtfiles.output import print_json, print_line
 
     archive, deadline_ns = read_with_deadline(args)
     from rtrun.archive.courses import courses
@@ -67,7 +69,10 @@ def run(args: argparse.Namespace) -> int:
         deadline_ns=deadline_ns,
         confidence=args.confidence,
     )
-    print_line(str(written[0]))
+    if args.json:
+        print_json({"schema": 1, "files": [str(path) for path in written], "farm_not_known": missing or None})
+    else:
+        print_line(str(written[0]))
     if failure:
         raise failure
     return 0

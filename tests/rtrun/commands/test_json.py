@@ -2,16 +2,19 @@
 
 import argparse
 import json
+import shutil
 
 import pytest
 from report.campaigns import write_campaign
 from traced import specimen, write_traced_run
 
 import rtrun.cli
+from logs import LOGS_2014
 from rtfiles.command import called_as, parser_of
 from rtfiles.start import commands_of
 from rtrun.cli import main
 
+LOG = "oneshot_timer_tests_l50_tm2000-measured.log"  # of 2014
 # What each has besides `schema`, on the folders `runs`, `traced` and `archive` below.
 COMMANDS = {
     "show runs": {"runs", "platform"},
@@ -28,6 +31,9 @@ COMMANDS = {
     "plan": {"campaigns"},
     "plan demo": {"runs"},
     "run demo --collect-only": {"runs"},
+    f"import {LOG} --platform hardware --results imported": {"runs", "refused"},
+    "site archive --output public": {"files", "farm_not_known"},
+    "notify lab.yml archive": {"wrong", "told", "known", "failures"},
 }
 
 
@@ -36,6 +42,8 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("json")
     write_campaign(folder / "runs", n=500)
     write_traced_run(folder / "traced", {1558: specimen(1558)}, [23166, 23175])
+    shutil.copy(LOGS_2014 / LOG, folder)
+    (folder / "lab.yml").write_text("schema: 1\nreceivers: [{name: log, kind: command, command: ['true']}]\n")
     (folder / "kernels.txt").write_text("6.1.0-rt\n6.6.30\n")
     assert main(["archive", "add", str(folder / "runs"), "--to", str(folder / "archive")]) == 0
     return folder
@@ -58,7 +66,9 @@ def test_every_command_that_takes_json_is_here():
         for each in commands_of("rtrun", rtrun.cli.COMMANDS)
         if "--json" in help_of(called_as(each.__name__))
     }
-    assert takes == {command.split()[0] for command in COMMANDS} | {"probe", "check-rt", "observe", "influence", "farm"}
+    assert takes == {command.split()[0] for command in COMMANDS} | {
+        "probe", "check-rt", "observe", "influence", "farm", "quick"
+    }  # fmt: skip
 
 
 def help_of(name):
@@ -77,3 +87,16 @@ def test_parts_of_an_outlier_add_up_and_a_damaged_run_is_told(folder, capsys, mo
     assert main(["verify", "traced", "--json"]) == 1
     (why,) = json.loads(capsys.readouterr().out)["damaged"].values()
     assert path.name in why and str(folder) not in why
+
+
+def test_what_is_refused_or_fails_is_in_the_json_too(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert main(["import", LOG, "missing.log", "--platform", "hardware", "--results", "again", "--json"]) == 2
+    printed = capsys.readouterr()
+    data = json.loads(printed.out)
+    ((run,), (refused,)) = data["runs"], data["refused"]
+    assert (run["run"], run["file"], run["status"]) == (f"again/{LOG.removesuffix('.log')}", LOG, "ok")
+    assert "the samples" in run["not_known"][0] and "missing.log" in refused and refused in printed.err
+    assert main(["site", "archive", "--output", "pages", "--json"]) == 0
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert files[0] == "pages/index.html" and all((folder / name).is_file() for name in files)
