@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from rtgen.commands import add_json
+
 HELP = "check whether this host can build an image with BitBake"
 EXAMPLES = (
     "rtgen doctor",
@@ -13,12 +15,15 @@ FAILS = "a finding prevents a build"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", nargs="?", type=Path, default=Path(), help="where the build will be [this folder]")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """0 if nothing prevents a build, 1 otherwise."""
+    from dataclasses import asdict
+
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_line
+    from rtfiles.output import print_json, print_line
     from rtgen import doctor
 
     if not args.folder.is_dir():
@@ -27,6 +32,9 @@ def run(args: argparse.Namespace) -> int:
     host = doctor.inspect(args.folder, needs)
     findings = doctor.judge(host, needs)
     fatal = sum(finding.fatal for finding in findings)
+    if args.json:
+        print_json({"schema": 1, "can_build": not fatal, "findings": [asdict(finding) for finding in findings]})
+        return int(fatal > 0)
     if fatal:
         print_line(f"This host cannot build an image yet: {fatal} to mend.")
     else:

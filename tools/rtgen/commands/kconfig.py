@@ -6,9 +6,12 @@ from typing import TYPE_CHECKING
 
 from rtfiles import atomic
 from rtfiles.errors import UsageError
-from rtfiles.output import print_line, print_text
+from rtfiles.output import print_json, print_line, print_text
+from rtgen.commands import add_json
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rtgen.kconfig.data import Data
     from rtgen.kconfig.verify import Verification
 
@@ -40,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verify.add_argument(
         "--config", type=Path, metavar="FILE", help="a finished .config, a /boot/config-*, a copy of /proc/config.gz"
     )
+    add_json(verify)
     verify.add_argument(
         "--kernel", metavar="VERSION", help="compare with the data of this version (default: its own, or the nearest)"
     )
@@ -100,12 +104,14 @@ def _verify(args: argparse.Namespace) -> int:
     tree = debian_source.open_debian(data) if args.source == "debian" else open_tree(Path(args.source))
     basis = data.basis(tree.kernel, args.kernel)
     known = [name for name in data.machines if basis.rt_of in data.kernels_of(name)]
-    failed = False
+    verdicts: list[Verification] = []
     for name in [args.machine] if args.machine else known:
         fragment, origin = (rendered(data, name, basis), None) if given is None else (given, str(args.fragment))
         for base in data.machine(name).bases:
-            failed |= report(verify_tree(data, tree, name, base, fragment, origin, args.kernel))
-    return int(failed)
+            verdicts.append(verify_tree(data, tree, name, base, fragment, origin, args.kernel))
+            if not args.json:
+                report(verdicts[-1])
+    return _end(verdicts, as_json=args.json)
 
 
 def _verify_config(args: argparse.Namespace, data: "Data") -> int:
@@ -115,7 +121,27 @@ def _verify_config(args: argparse.Namespace, data: "Data") -> int:
     if not args.machine or args.fragment:
         raise UsageError("kconfig verify: --config FILE takes --machine, and no --fragment")
     data.machine(args.machine)
-    return int(report(verify_config(data, args.machine, read_text(args.config), str(args.config), args.kernel)))
+    verdict = verify_config(data, args.machine, read_text(args.config), str(args.config), args.kernel)
+    if not args.json:
+        report(verdict)
+    return _end([verdict], as_json=args.json)
+
+
+def _end(verdicts: "Sequence[Verification]", *, as_json: bool) -> int:
+    """Print the verdicts for programs, if that is asked for; return the exit status."""
+    from dataclasses import asdict
+
+    if as_json:
+        subjects = [
+            {
+                "subject": each.subject,
+                "checked": each.checked,
+                "do_not_hold": [asdict(item) for item in each.mismatches],
+            }
+            for each in verdicts
+        ]
+        print_json({"schema": 1, "subjects": subjects})
+    return int(any(each.mismatches for each in verdicts))
 
 
 def report(verdict: "Verification") -> bool:

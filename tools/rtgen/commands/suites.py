@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from rtgen.commands import add_json
+
 HELP = "build the measuring programs for this machine or a board"
 EXAMPLES = (
     "rtgen suites build",
@@ -26,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build.add_argument(
         "--on", type=Path, metavar="TARGET.yml", help="build them there, with the target's own compiler and ROS"
     )
+    add_json(build)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -33,17 +36,23 @@ def run(args: argparse.Namespace) -> int:
     import json
 
     from rtfiles.errors import UsageError
-    from rtfiles.output import noting_duration, print_line, print_note
+    from rtfiles.output import beside_the_answer, noting_duration, print_json, print_line, print_note
     from rtgen.suites import HOST, build, build_on
 
     if args.on:
+        if args.json:
+            raise UsageError("--json goes without --on: rtrun build-suites says what a target built with")
         if args.machine or args.suite or args.ros2:
             raise UsageError("--on goes without --machine, --suite and --ros2: the target has what it has")
         return build_on(args.on)
     machine = args.machine or HOST
-    with noting_duration(f"building the suites for {machine}"):
+    with beside_the_answer(args.json), noting_duration(f"building the suites for {machine}"):
         folder = build(machine, PLACE, args.suite, args.ros2 and args.ros2.resolve())
-    for name, needed in json.loads((folder / "build.json").read_text())["not_built"].items():
+    not_built = json.loads((folder / "build.json").read_text())["not_built"]
+    if args.json:
+        print_json({"schema": 1, "machine": machine, "folder": str(folder), "not_built": not_built})
+        return 0
+    for name, needed in not_built.items():
         print_note(f"{name} is not among them: it needs {' and '.join(needed)}")
     print_line(str(folder))
     return 0
