@@ -99,7 +99,7 @@ def test_programs_get_the_same_as_json(quick, suites, tmp_path):
         (["--suite", "oneshot_timer_tests", "--middleware", "rcl"], "not there through rcl, found: "),
         (["--target", "none.yml"], "none.yml: "),
         (["--target", "a.yml", "--suites", "there"], "--suites: a target file names them itself"),
-        (["--target", "root@"], "--target root@: takes USER@HOST, or a target file"),
+        (["--target", "root@"], "--target root@: 'root@' is not [USER@]HOST[:PORT]; a target file ends in .yml"),
     ],
 )
 def test_what_is_wrong_is_said_before_anything_is_measured(quick, suites, tmp_path, words, message):

@@ -42,15 +42,15 @@ def campaign_file(text: str) -> Path:
 
 
 def add_target(parser: argparse.ArgumentParser) -> None:
-    """The one target file; required if the environment names none."""
+    """The one target, a file or a login; required if the environment names none."""
     given = os.environ.get(TARGET_VARIABLE)
     parser.add_argument(
         "--target",
         type=Path,
         required=not given,
         default=given and Path(given),
-        metavar="TARGET.yml",
-        help=f"[{TARGET_VARIABLE} of the environment]",
+        metavar="TARGET",
+        help=f"TARGET.yml, or [USER@]HOST[:PORT] [{TARGET_VARIABLE} of the environment]",
     )
 
 

@@ -28,7 +28,10 @@ ASKED = (1e-2, 1e-6)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--deadline", type=time_argument, required=True, metavar="TIME", help="with its unit, as 1ms")
     parser.add_argument(
-        "--target", default="", metavar="USER@HOST|TARGET.yml", help="what to measure on [this machine]"
+        "--target",
+        default="",
+        metavar="TARGET",
+        help="what to measure on: [USER@]HOST[:PORT], or a target file [this machine]",
     )
     parser.add_argument(
         "--for",
@@ -100,19 +103,15 @@ def run(args: argparse.Namespace) -> int:
 def _target(args: argparse.Namespace) -> dict[str, Any] | None:
     """The target data that `--target` stands for; None where it names a file."""
     from rtfiles.errors import UsageError
-    from rtrun.targets.config import target_name
+    from rtrun.targets.config import data_of_login, names_file
 
     suites = args.suites or (Path("build/suites/host") if not args.target else None)
-    if args.target.endswith((".yml", ".yaml")):
+    if args.target and names_file(Path(args.target)):
         if args.suites:
             raise UsageError("--suites: a target file names them itself, as suites")
         return None
-    user, _, host = args.target.rpartition("@")
-    if args.target and not host:
-        raise UsageError(f"--target {args.target}: takes USER@HOST, or a target file that ends with .yml")
-    data = {"schema": 1, "name": target_name(host) or "this-machine"}
-    data |= {"kind": "ssh", "host": host} if host else {"kind": "local"}
-    data |= {"user": user} if user else {}
+    here = {"schema": 1, "name": "this-machine", "kind": "local"}
+    data = data_of_login(args.target) if args.target else here
     return data | ({"suites": str(suites.absolute())} if suites and suites.is_dir() else {})
 
 

@@ -28,8 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[],
         action="append",
-        metavar="TARGET.yml",
-        help="given several times: the boards share the campaign, whichever is free measures what comes next",
+        metavar="TARGET",
+        help="TARGET.yml, or [USER@]HOST[:PORT]; given several times: "
+        " the boards share the campaign, whichever is free measures what comes next",
     )
     parser.add_argument(
         "--targets",

@@ -58,13 +58,41 @@ def check_host(name: str) -> str:
 
 def check_server(text: str) -> str:
     """Return HOST, HOST:PORT or [ADDRESS]:PORT, as used in an address. Raises ValueError."""
-    parts = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::([0-9]{1,5}))?", text, re.ASCII)
+    _split(text)
+    return text
+
+
+def read_login(text: str) -> dict[str, str | int]:
+    """Read [USER@]HOST[:PORT] into the keys of a target file that it states; the host is checked there.
+
+    An IPv6 address with a port is in brackets. Raises ValueError.
+    """
+    user, at, server = text.rpartition("@")
+    if (at and not user) or not server:
+        raise ValueError(f"{text[:100]!r} is not [USER@]HOST[:PORT]")
+    login: dict[str, str | int] = {"host": server}
+    if ":" in server and not _is_ipv6(server):
+        host, port = _split(server)
+        login = {"host": host} | ({"port": port} if port else {})
+    return login | ({"user": user} if user else {})
+
+
+def _split(server: str) -> tuple[str, int | None]:
+    parts = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::([0-9]{1,5}))?", server, re.ASCII)
     if not parts:
-        raise ValueError(f"{text[:100]!r} is not HOST:PORT, of IPv6 [ADDRESS]:PORT")
+        raise ValueError(f"{server[:100]!r} is not HOST:PORT, of IPv6 [ADDRESS]:PORT")
     if parts[1]:
         ipaddress.IPv6Address(parts[1])
     else:
         check_host(parts[2])
     if parts[3] and not 0 < int(parts[3]) < 1 << 16:
-        raise ValueError(f"{text[:100]!r}: a port is a number from 1 to 65535")
-    return text
+        raise ValueError(f"{server[:100]!r}: a port is a number from 1 to 65535")
+    return parts[1] or parts[2], int(parts[3]) if parts[3] else None
+
+
+def _is_ipv6(text: str) -> bool:
+    try:
+        ipaddress.IPv6Address(text)
+    except ValueError:
+        return False
+    return True

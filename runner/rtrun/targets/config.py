@@ -17,7 +17,7 @@ from rtfiles.invocation import as_called
 from rtfiles.output import print_note
 from rtfiles.wording import unknown
 from rtrun.plan.run import KernelName
-from rtrun.targets.address import Address, ThisMachine, check_host
+from rtrun.targets.address import Address, ThisMachine, check_host, read_login
 from rtrun.targets.connection import Connection
 from rtrun.targets.errors import ConnectionLost, TargetGone
 from rtrun.targets.inspection.platform import KnownPlatform, Platform
@@ -190,8 +190,25 @@ def target_name(host: str) -> str:
 
 
 def read_target(path: Path) -> TargetConfig:
-    """Read a target file. Raises UsageError with every mistake found."""
-    return parse_target(*read_yaml_with_place(path))
+    """Read a target file, or [USER@]HOST[:PORT] of a board. Raises UsageError with every mistake found."""
+    if names_file(path):
+        return parse_target(*read_yaml_with_place(path))
+    return parse_target(data_of_login(str(path)), str(path))
+
+
+def names_file(path: Path) -> bool:
+    """Whether what somebody named as a target is a file, and not the login of a board."""
+    return path.suffix in (".yml", ".yaml") or path.name != str(path) or path.is_file()
+
+
+def data_of_login(text: str) -> dict[str, object]:
+    """The data of a target file for [USER@]HOST[:PORT]. Raises UsageError."""
+    try:
+        login = read_login(text)
+    except ValueError as error:
+        raise UsageError(f"--target {text}: {error}; a target file ends in .yml") from error
+    port = f"-{login['port']}" if "port" in login else ""
+    return {"schema": 1, "name": f"{target_name(str(login['host'])) or 'board'}{port}", "kind": "ssh"} | login
 
 
 def parse_target(data: object, origin: Place | str) -> TargetConfig:

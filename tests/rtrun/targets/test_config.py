@@ -57,6 +57,60 @@ def test_a_folder_that_is_none_of_suites(tmp_path):
         assert target.suites == tmp_path / "there"
 
 
+@pytest.mark.parametrize(
+    ("text", "name", "login"),
+    [
+        ("board", "board", ("board", None, None)),
+        ("board:2222", "board-2222", ("board", 2222, None)),
+        ("root@10.0.0.7:22", "10.0.0.7-22", ("10.0.0.7", 22, "root")),
+        ("me@there@bücher.example", "b-cher.example", ("bücher.example", None, "me@there")),
+        ("[fe80::1]:22", "fe80-1-22", ("fe80::1", 22, None)),
+        ("root@fe80::1%eth0", "fe80-1-eth0", ("fe80::1%eth0", None, "root")),
+        ("::1", "1", ("::1", None, None)),
+    ],
+)
+def test_a_login_instead_of_a_file(tmp_path, monkeypatch, text, name, login):
+    monkeypatch.chdir(tmp_path)
+    config = read_target(Path(text))
+    assert (config.name, (config.host, config.port, config.user)) == (name, login)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "root@", "@board", "board:", "board:0", "board:65536", "board:22:22", "[::1", "[board]:22", "a b:22", "a b",
+        "board:22x", "x..y", "root@\x1b[2J:22", "[::1]:", "board:٢٢",
+    ],
+)  # fmt: skip
+def test_a_login_that_is_none(tmp_path, monkeypatch, capsys, text):
+    monkeypatch.chdir(tmp_path)
+    assert main(["probe", "--target", text]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "\x1b" not in error and text.replace("\x1b", "?") in error
+
+
+@pytest.mark.parametrize("text", ["missing.yml", "missing.yaml", "folder/missing"])
+def test_what_names_a_file_is_no_login(tmp_path, monkeypatch, text):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match="No such file"):
+        read_target(Path(text))
+    Path("board").write_text(SSH)
+    assert read_target(Path("board")).host == "127.0.0.1", "a file of that name comes first"
+
+
+@pytest.mark.sshd
+def test_a_login_is_enough_to_ask_a_board(sshd, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("SSH_AUTH_SOCK", raising=False)
+    Path(".ssh").mkdir()
+    Path(".ssh/known_hosts").write_text(f"[127.0.0.1]:{sshd.port} {sshd.host_key}\n")
+    shutil.copy(sshd.key, ".ssh/id_ed25519")
+    login = f"{sshd.user}@127.0.0.1:{sshd.port}"
+    assert main(["check-rt", "--target", login]) in (0, 1), capsys.readouterr().err
+    assert capsys.readouterr().out.startswith(f"127.0.0.1-{sshd.port} ({login}): ")
+
+
 def probe(sshd, folder: Path, *more: str) -> int:
     known = folder / "known_hosts"
     known.write_text(f"[127.0.0.1]:{sshd.port} {sshd.host_key}\n")
