@@ -4,14 +4,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rtfiles.errors import InfrastructureError, UsageError
-from rtfiles.output import print_line, print_note
+from rtfiles.output import counted, print_line, print_note
 from rtfiles.quantities import duration
 from rtrun.analysis.chance.further import plan_groups
 from rtrun.commands._boards import TargetFile, measure_on
 from rtrun.commands.verdict import print_answers
 from rtrun.execution import campaign_runner
 from rtrun.execution.allotment import NextRound
-from rtrun.execution.goal import Progress, read_findings, rounds
+from rtrun.execution.goal import Progress, read_findings, rounds, stopped_by_time
 from rtrun.execution.progress import RoundProgress
 from rtrun.judgement.standings import evaluator
 from rtrun.judgement.study import study
@@ -93,4 +93,11 @@ def measure_until(
     print_answers(study(results, goal.question, bounds=False))
     for line in remarks_of(sorted(folder for folder in results.iterdir() if is_closed(folder))):
         print_line(line)
+    failed = [name for name, status in statuses.items() if status is not RunStatus.OK]
+    if unanswered := stopped_by_time(chosen, evaluate(), failed):
+        print_line(
+            f"{file}: until.at_most: {duration(goal.at_most_ns / 1e9)} are over, and {len(unanswered)} of "
+            f"{counted(len(chosen), 'group')} {'has' if len(unanswered) == 1 else 'have'} no answer: allow more, and "
+            "the same command goes on; what was measured counts"
+        )
     return statuses

@@ -129,6 +129,16 @@ def rounds(
     return next_round
 
 
+def stopped_by_time(groups: Sequence[Run], standings: Sequence[Standing], failed: Collection[str]) -> list[str]:
+    """The groups that have no answer, after the rounds ended, though none of their runs is among the `failed` ones."""
+    reached = standings_of(groups, standings)
+    return [
+        group.name
+        for group in groups
+        if not _is_final(reached.get(group.name)) and not any(_round_of(run, group) for run in failed)
+    ]
+
+
 def _is_final(standing: Standing | None) -> bool:
     return standing is not None and standing.is_final
 

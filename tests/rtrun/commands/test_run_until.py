@@ -81,9 +81,15 @@ def test_it_ends_when_the_time_is_over_and_goes_on_when_it_gets_more(campaign, w
         assert main(campaign([1000], probability="1e-3", at_most="3s", boots=1)) == 0
     out = capsys.readouterr().out
     assert "NEEDS MORE" in out and re.search(r"3 \d\d\d more \(\d+ s\)", out), out
+    goes_on = (
+        "campaign.yml: until.at_most: 3 s are over, and 1 of 1 group has no answer: allow more, and the same command "
+        "goes on; what was measured counts\n"
+    )
+    assert goes_on in out
     assert len(wishes.calls()) == 3, "a run counts as a second here"
     assert main(["gate", "results/brakes"]) == 1
     assert main(campaign([1000], probability="0.01", at_most="10min", boots=1)) == 0
+    assert "at_most" not in capsys.readouterr().out
     assert answers(capsys) == {"001": "PROVEN"}
     assert len(wishes.calls()) == 4, "368 measurements without a miss prove P < 0.01: what was measured counts"
 

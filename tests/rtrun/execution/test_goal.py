@@ -10,7 +10,7 @@ from rtrun.analysis.account import Account
 from rtrun.analysis.deadline import Answer, judge
 from rtrun.analysis.standing import Standing
 from rtrun.analysis.trials import count_misses
-from rtrun.execution.goal import TRIES, Findings, rounds, runs_left, standings_of
+from rtrun.execution.goal import TRIES, Findings, rounds, runs_left, standings_of, stopped_by_time
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.goal import Goal
 from rtrun.plan.question import Question
@@ -230,6 +230,16 @@ def test_a_group_is_known_by_the_names_of_its_runs():
     names = [[run.name for run in sorted(plan_round(groups, n, 7), key=lambda run: run.name)] for n in (1, 2, 12)]
     old, new, other = standing(names[0][0]), standing(names[2][0], names[1][0]), standing(names[0][1])
     assert standings_of(groups, [new, old, other]) == {groups_by_name(groups)[0]: new, groups_by_name(groups)[1]: other}
+
+
+def test_a_group_whose_runs_fail_was_not_stopped_by_the_time():
+    groups, wanted = groups_of(1000, 500, 250), goal(boots=1)
+    names = groups_by_name(groups)
+    board = Board({1000: 0.0, 500: 0.0, 250: 0.0}, wanted=wanted)
+    assert stopped_by_time(groups, board.evaluate(groups), []) == [group.name for group in groups]
+    assert stopped_by_time(groups, [], [f"{names[0]}-r2"]) == [group.name for group in groups if group.name != names[0]]
+    measure(board, groups, wanted)
+    assert stopped_by_time(groups, board.evaluate(groups), []) == []
 
 
 def groups_by_name(groups):
