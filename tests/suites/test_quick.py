@@ -79,6 +79,20 @@ def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suit
 
 
 @pytest.mark.root
+def test_without_a_deadline_it_prints_figures_and_how_to_ask(quick, suites, tmp_path):
+    words = ["--for", "2s", "--suites", suites, "--suite", "cyclic_timer_tests"]
+    _, printed, _ = quick(*words)
+    if not kept_from_its_rate(tmp_path / "results" / "quick"):
+        assert re.search(r"^cyclic_timer FIFO 1000 Hz +1 \d+ +[\d.]+ [mun]s", printed, re.M), printed
+    assert "without a deadline there are figures and no answer: ask with --deadline TIME" in printed
+    assert "report results/quick --deadline TIME\n" in printed
+    assert not re.search("P\\(|400 us|PROVEN|misses", printed), printed
+    _, printed, _ = quick(*words, "--json")
+    data = json.loads(printed)
+    assert data["deadline_ns"] is None and all(group["p_below"] is None for group in data["groups"])
+    assert all(group["worst_ns"] > 0 for group in data["groups"])
+
+
 @pytest.mark.root
 def test_programs_get_the_same_as_json(quick, suites, tmp_path):
     words = ["--for", "2s", "--suites", suites, "--suite", "cyclic_timer_tests", "--json"]

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.commands._boards import TargetFile, measure_made
     from rtrun.judgement.influence import influences
     from rtrun.judgement.study import study
-    from rtrun.plan.question import Question
+    from rtrun.plan.question import NO_DEADLINE
     from rtrun.plan.topology.reading import read_topology
     from rtrun.report import influence
     from rtrun.report.terminal import print_banner
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     with beside_the_answer(args.json):
         statuses = measure_made(_campaign(args, topology.name), target, results)
     bad = [f"{name}: {status}" for name, status in statuses.items() if status is not RunStatus.OK]
-    measured: Study = study(results, Question(), bounds=False)
+    measured: Study = study(results, NO_DEADLINE, bounds=False)
     found = influence.table(influences(measured), measured.question.confidence)
     if args.json:
         print_json({"schema": 1, "platform": str(measured.platform), found.id: found.as_data()})

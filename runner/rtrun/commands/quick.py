@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 HELP = "a first answer in a minute, without a file: which P(miss) is proven, what was worst, and why"
 EXAMPLES = (
-    "rtrun quick --deadline 1ms",
+    "rtrun quick",
     "rtrun quick --deadline 500us --target root@robot.local --for 10m",
 )
 POLICY = "FIFO"
@@ -26,7 +26,9 @@ ASKED = (1e-2, 1e-6)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--deadline", type=time_argument, required=True, metavar="TIME", help="with its unit, as 1ms")
+    parser.add_argument(
+        "--deadline", type=time_argument, metavar="TIME", help="with its unit, as 1ms [none: figures alone]"
+    )
     parser.add_argument(
         "--target",
         default="",
@@ -60,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.commands._boards import TargetFile, measure_made, print_failed
     from rtrun.commands._link import linked
     from rtrun.judgement.study import study
-    from rtrun.plan.question import Question
+    from rtrun.plan.question import NO_DEADLINE, Question
     from rtrun.report import page
     from rtrun.report.contents import contents
     from rtrun.results import run_directory
@@ -84,7 +86,10 @@ def run(args: argparse.Namespace) -> int:
     with beside_the_answer(args.json):
         statuses = measure_made(campaign, TargetFile(config=config, folder=file.parent), results)
     print_status("writing the report")
-    examined = study(results, Question(deadline_ns=args.deadline, probability=ASKED[0], is_deadline_stated=True))
+    asked = NO_DEADLINE
+    if args.deadline:
+        asked = Question(deadline_ns=args.deadline, probability=ASKED[0], is_deadline_stated=True)
+    examined = study(results, asked)
     report = results / "report.html"
     atomic.write_named(report, page.html(examined, contents(examined)).encode("utf-8", "replace"))
     print_status("")
@@ -191,6 +196,7 @@ def _why_late(study: "Study") -> str | None:
 
 def _as_data(study: "Study", findings: "list[CheckResult]", results: Path) -> dict[str, Any]:
     """What `_print` prints, as docs/formats.md describes it."""
+    from rtrun.judgement.digest import pool_figures
     from rtrun.targets.inspection import rt_readiness
 
     groups = [
@@ -200,7 +206,7 @@ def _as_data(study: "Study", findings: "list[CheckResult]", results: Path) -> di
             "misses": verdict.misses if verdict else None,
             "p_below": verdict.upper if verdict and not why else None,
             "no_p": why,
-            "worst_ns": verdict.worst_ns if verdict else None,
+            "worst_ns": verdict.worst_ns if verdict else pool_figures(group.digests).max_ns,
         }
         for group, why in _proven(study)
     ]
@@ -208,7 +214,7 @@ def _as_data(study: "Study", findings: "list[CheckResult]", results: Path) -> di
         "schema": 1,
         "platform": study.platform,
         "results": str(results),
-        "deadline_ns": study.question.deadline_ns,
+        "deadline_ns": study.question.deadline_ns if study.question.has_deadline else None,
         "confidence": study.question.confidence,
         "groups": groups,
         "left_out": study.left_out,
@@ -227,24 +233,29 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     from rtrun.judgement.study import study as examine
     from rtrun.report import sentences
     from rtrun.report.scenarios import scenarios
+    from rtrun.report.screen import print_figures
     from rtrun.report.terminal import print_banner
     from rtrun.targets.inspection import rt_readiness
 
+    call = as_called("rtrun")
     print_banner(study.platform, study.preempt_rt)
     made = scenarios(study)
-    print_line(sentences.headline(study, made))
-    if made:
+    if study.question.has_deadline or not made:
+        print_line(sentences.headline(study, made))
         console().print(sentences.lines(study, made))
+    else:
+        print_figures(study.groups)
+        print_line("without a deadline there are figures and no answer: ask with --deadline TIME, as --deadline 1ms")
     for text in study.left_out:
         print_line(f"not analysed: {text}")
-    for probability in ASKED if made else ():
+    for probability in ASKED if made and study.question.has_deadline else ():
         asked = replace(study.question, probability=probability)
         answers = [each.answer for each in scenarios(examine(results, asked, bounds=False))]
         print_line(sentences.answers_in_words(answers, one_in(probability)))
     if why_late := _why_late(study):
         print_line(f"why it was late: {why_late}")
     grave = [each.check.name for each in rt_readiness.grave_faults(findings)]
-    folder, file, call = shlex.quote(str(results)), shlex.quote(str(target)), as_called("rtrun")
+    folder, file = shlex.quote(str(results)), shlex.quote(str(target))
     explain = f"; {call} check-rt --target {file} says why, and the remedy"
     print_line(f"in the way of real time: {', '.join(grave) + explain if grave else 'nothing grave'}")
     print_line(f"to measure again: {call} run {folder}/campaign.yml --target {file} --fresh")

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
     from rtfiles.output import console, print_bytes, print_line, print_note, print_status
     from rtrun.judgement import gate
-    from rtrun.report import formats, page, sentences
+    from rtrun.report import formats, page, screen, sentences
     from rtrun.report.contents import contents
     from rtrun.report.plots import pictures
 
@@ -69,8 +69,10 @@ def run(args: argparse.Namespace) -> int:
     if written.banner:
         print_line(written.banner)
     print_line(written.answer)
-    if written.scenarios:
-        console().print(sentences.lines(analysed, written.scenarios))
+    answered = [one for one in written.scenarios if one.group.question]
+    if answered:
+        console().print(sentences.lines(analysed, answered))
+    screen.print_figures([group for group in analysed.answers if group.question is None])
     for text in written.left_out:
         print_line(f"not analysed: {text}")
     for case in judged.cases if args.verbose else ():

@@ -45,16 +45,19 @@ def print_answers(study: "Study") -> None:
     from rtfiles.output import console, counted, print_line
     from rtrun.judgement.boards import differences, spread
     from rtrun.judgement.standings import standings
+    from rtrun.report.screen import print_figures
     from rtrun.report.standings import question, reasons, startups, table
     from rtrun.report.terminal import print_banner
 
     print_banner(study.platform, study.preempt_rt)
-    print_line(question(study))
     every = standings(study)
     groups = [each for each in every if each.has_deadline]
     if groups:
+        print_line(question(study))
+    if groups:
         console().print(table(groups))
     if without := len(every) - len(groups):
+        print_figures([group for group in study.answers if group.question is None])
         print_line(f"{counted(without, 'group')} without a deadline: --deadline TIME gives all of them one")
     for text in (*reasons(groups), *startups(groups)):
         print_line(text)

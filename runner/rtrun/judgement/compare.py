@@ -36,7 +36,7 @@ class Compared:
     """Two sets: the groups in both, those in only one, and those that could be matched in several ways."""
 
     platform: Platform
-    deadline_ns: int
+    deadline_ns: int | None
     miss: str
     """What counts as a miss, in words."""
     changes: tuple[Changed, ...]
@@ -88,7 +88,7 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
     corrected = correct([change.comparison for change in changes])
     return Compared(
         platform=first.platform,
-        deadline_ns=first.question.deadline_ns,
+        deadline_ns=first.question.deadline_ns if first.question.has_deadline else None,
         miss=first.asked.miss,
         changes=tuple(
             replace(change, comparison=comparison, label=_label(a, b, of_several=counts[a.label] > 1))

@@ -15,6 +15,7 @@ from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform, weakest
 
 ALLOCATIONS, PAGE_FAULTS, ASKS_LESS = "ALLOCATIONS", "PAGE FAULTS", "ASKS LESS"
+NO_DEADLINE = "nothing that was measured has a deadline: give one, as --deadline 1ms"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,8 +91,7 @@ def gate(
     ]
     cases += sorted(judged, key=lambda case: severity(case.answer, case.worst_ns))
     if study.answers and not judged:
-        text = "nothing that was measured has a deadline: give one, as --deadline 1ms"
-        cases.append(Case(about="deadline", answer="NOT ANALYSED", text=text, passed=False))
+        cases.append(Case(about="deadline", answer="NOT ANALYSED", text=NO_DEADLINE, passed=False))
     cases += [
         Case(about=name, answer="REPEATED", text="cut off by a restart of the target, then measured again", passed=True)
         for name in study.source.repeated

@@ -100,15 +100,14 @@ class Study:
 
     @property
     def deadlines_ns(self) -> tuple[int, ...]:
-        """The deadlines that its groups have, ascending; that of the question where none has one."""
-        return tuple(sorted({group.question.deadline_ns for group in self.groups if group.question})) or (
-            self.question.deadline_ns,
-        )
+        """The deadlines that its groups have, ascending; where none has one, that of the question, if it has one."""
+        of_groups = {group.question.deadline_ns for group in self.groups if group.question}
+        return tuple(sorted(of_groups or ({self.question.deadline_ns} if self.question.has_deadline else ())))
 
     @property
     def miss(self) -> str:
         """What counts as a miss, in words."""
-        if len(self.deadlines_ns) > 1:
+        if len(self.deadlines_ns) != 1:
             return f"{self.asked.of or 'value'} > its deadline"
         return replace(self.asked, deadline_ns=self.deadlines_ns[0]).miss
 
@@ -150,6 +149,7 @@ def study(
     refused.
     """
     source = reading.find_source(path)
+    of_file = question if question.has_deadline else None
     records, refused = _read_records(source.folders)
     copies = reading.find_copies(records)
     records = {folder: record for folder, record in records.items() if folder not in copies}
@@ -158,14 +158,14 @@ def study(
     runs = [*read.values()]
     digests = [one for run in runs for one in run.digests]
     if not source.folders:
-        digests = [digest(series, question) for series in read_file(path, question.of)]
+        digests = [digest(series, of_file) for series in read_file(path, question.of)]
     _check_platform(path, digests)
     folders = {record.run: folder for folder, record in records.items()}
 
     @functools.lru_cache(maxsize=1)
     def read_again(run: str, startup_loops: int) -> tuple[Digest, ...]:
         if not source.folders:
-            return tuple(digest(series, question, startup_loops) for series in read_file(path, question.of))
+            return tuple(digest(series, of_file, startup_loops) for series in read_file(path, question.of))
         return _read_run(folders[run], records[folders[run]], question, known, startup_loops).digests
 
     basis = _Basis(

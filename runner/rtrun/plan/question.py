@@ -88,6 +88,8 @@ class Question:
     bursts: int | None = None
     is_deadline_stated: bool = field(default=False, compare=False)
     """Whether the deadline was named explicitly: it then overrides the deadlines that runs were measured for."""
+    has_deadline: bool = field(default=True, compare=False)
+    """False: nobody named a deadline, and only runs that were measured for one of their own are judged."""
 
     @property
     def covered(self) -> str:
@@ -169,6 +171,8 @@ def weaker(goal: Question, asked: Question, bursts_by_default: int = 1) -> tuple
 
 THESIS = Question()
 """The thesis' deadline (section 4.1.2), which is hardly ever missed."""
+NO_DEADLINE = Question(has_deadline=False)
+"""Figures alone, but for runs that were measured for a deadline of their own."""
 
 
 def unlike_share(boots: int, confidence: float) -> float:

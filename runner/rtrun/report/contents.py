@@ -95,12 +95,15 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
     counts = Counter(one.answer for one in made)
     total = len(made) - counts[Answer.NO_DEADLINE]
     of_total = f" in {{}} of {total} scenarios" if total > 1 else ""
-    first_ns, *others_ns = study.deadlines_ns
-    deadline = "its deadline" if others_ns else f"the deadline of {time(first_ns)}"
+    known_ns = study.deadlines_ns
+    deadline = f"the deadline of {time(known_ns[0])}" if len(known_ns) == 1 else "its deadline"
     hidden = f"; {len(study.left_out)} not analysed, see below" if study.left_out else ""
     asked = f"{hidden}. Asked: {study.asked_in_words}."
     if made and not total:
-        return f"No deadline was given for any of {counted(len(made), 'scenario')}: --deadline TIME{hidden}."
+        return (
+            f"Without a deadline there are figures and no answer, for {counted(len(made), 'scenario')}{hidden}: ask "
+            "with --deadline TIME, as --deadline 1ms."
+        )
     if not made:
         return f"Nothing was measured that {deadline} could be held against{hidden}."
     if counts[Answer.REFUTED]:
