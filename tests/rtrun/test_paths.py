@@ -79,5 +79,7 @@ def test_whoever_follows_a_campaign_and_its_report_reads_what_is_named(tmp_path,
     for number in range(10):
         oneshot_run(tmp_path / "ten", f"{number:03}", latencies(3000, number), attempt=f"a{number}")
     write_campaign(tmp_path / "thesis", n=2000)
-    opened = set().union(*(followed(tmp_path, "report", folder) for folder in ("results", "ten", "thesis")))
+    opened = set().union(
+        *(followed(tmp_path, "report", folder, "--deadline", "400us") for folder in ("results", "ten", "thesis"))
+    )
     assert opened == set(named("report"))

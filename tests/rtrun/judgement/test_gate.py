@@ -33,9 +33,12 @@ def test_a_proof_passes(tmp_path, capsys):
 def test_a_log_without_order_passes_only_when_told_to(tmp_path, capsys):
     folder = write_oneshot(tmp_path, logs=True)
     log = str(next(folder.glob("*measured.log")))
-    assert main(["gate", log, "--probability", "1e-3", "--bursts", "1"]) == 1
+    assert main(["gate", log, "--deadline", "400us", "--probability", "1e-3", "--bursts", "1"]) == 1
     assert "FAIL  PROVEN IF INDEPENDENT" in capsys.readouterr().out
-    assert main(["gate", log, "--probability", "1e-3", "--bursts", "1", "--assume-independent"]) == 0
+    assert (
+        main(["gate", log, "--deadline", "400us", "--probability", "1e-3", "--bursts", "1", "--assume-independent"])
+        == 0
+    )
 
 
 def test_runs_of_one_name_that_were_put_together_are_runs_of_their_own(tmp_path, capsys):
@@ -55,7 +58,7 @@ def test_runs_of_one_name_that_were_put_together_are_runs_of_their_own(tmp_path,
 @pytest.mark.parametrize(
     ("question", "answer"),
     [
-        (["--probability", "1e-6"], "NEEDS MORE"),
+        (["--deadline", "400us", "--probability", "1e-6"], "NEEDS MORE"),
         (["--deadline", "0.09ms", "--probability", "1e-3", "--bursts", "1"], "REFUTED"),
     ],
 )
@@ -68,13 +71,13 @@ def test_too_little_and_too_late_fail(tmp_path, capsys, question, answer):
 
 def test_emulated_results_never_pass(tmp_path, capsys):
     write_oneshot(tmp_path, platform="emulated")
-    assert main(["gate", str(tmp_path), "--probability", "1e-2", "--bursts", "1"]) == 1
+    assert main(["gate", str(tmp_path), "--deadline", "400us", "--probability", "1e-2", "--bursts", "1"]) == 1
     printed = capsys.readouterr().out
     assert printed.startswith("EMULATED") and "FAIL  not a real-time statement" in printed
 
 
 def test_the_worst_answer_is_the_first_line(campaign, capsys):
-    assert main(["gate", str(campaign)]) == 1
+    assert main(["gate", str(campaign), "--deadline", "400us"]) == 1
     table = capsys.readouterr().out.splitlines()[4:]
     answers = [re.split(r"  +", line)[1] for line in table]
     assert answers == sorted(answers, key=["REFUTED", "NEEDS MORE"].index) and len(set(answers)) == 2
@@ -87,9 +90,9 @@ def test_a_scenario_is_a_line_and_what_its_answer_rests_on_is_told_when_asked_fo
     campaign, capsys, monkeypatch, command
 ):
     monkeypatch.setenv("COLUMNS", "200")
-    main([command, str(campaign)])
+    main([command, str(campaign), "--deadline", "400us"])
     short = capsys.readouterr().out.splitlines()
-    main([command, str(campaign), "-v"])
+    main([command, str(campaign), "--deadline", "400us", "-v"])
     told = [line for line in capsys.readouterr().out.splitlines() if "; worst " in line]
     assert len(told) == 15 and len(short) < 15 + 6 and not any("; worst " in line for line in short)
 
@@ -103,7 +106,7 @@ def test_a_scenario_is_a_line_and_what_its_answer_rests_on_is_told_when_asked_fo
 )
 def test_why_no_scenario_has_an_answer_is_printed_once(emulated, tmp_path, capsys, command, told):
     output = ["--output", str(tmp_path / "x")] if command[0] == "report" else []
-    main([command[0], str(emulated), *command[1:], *output])
+    main([command[0], str(emulated), "--deadline", "400us", *command[1:], *output])
     printed = capsys.readouterr().out
     assert printed.count(told) == 1
     assert printed.count("measured on") == 1
@@ -111,7 +114,7 @@ def test_why_no_scenario_has_an_answer_is_printed_once(emulated, tmp_path, capsy
 
 def test_a_proof_from_a_virtual_machine_passes_only_when_told_to(tmp_path, capsys):
     write_oneshot(tmp_path, platform="virtual")
-    question = ["gate", str(tmp_path), "--probability", "1e-3", "--bursts", "1"]
+    question = ["gate", str(tmp_path), "--deadline", "400us", "--probability", "1e-3", "--bursts", "1"]
     assert main(question) == 1
     printed = capsys.readouterr().out
     assert printed.startswith("VIRTUAL: verdicts are for this virtual machine on this host\nfailed\n")
@@ -147,7 +150,7 @@ def test_two_platforms_are_not_compared(tmp_path, capsys):
 def test_a_failed_run_does_not_pass_unseen(tmp_path, capsys):
     write_oneshot(tmp_path)
     write_oneshot(tmp_path, "b", status="failed", reason="the link was lost")
-    assert main(["gate", str(tmp_path), "--probability", "1e-3", "--bursts", "1"]) == 1
+    assert main(["gate", str(tmp_path), "--deadline", "400us", "--probability", "1e-3", "--bursts", "1"]) == 1
     assert "NOT ANALYSED" in capsys.readouterr().out
 
 
@@ -157,7 +160,7 @@ def test_what_a_restart_cut_off_is_named_and_counts_as_late(tmp_path, capsys):
     write_oneshot(tmp_path, "a.warm-up")
     for name in ("a", "a.warm-up"):
         (tmp_path / f"{name}.incomplete-1").mkdir()
-    question = ["gate", str(tmp_path), "--probability", "1e-3", "--bursts", "1"]
+    question = ["gate", str(tmp_path), "--deadline", "400us", "--probability", "1e-3", "--bursts", "1"]
     assert main(question) == 1
     printed = capsys.readouterr().out
     assert re.search(r"^pass  REPEATED +a.incomplete-1 +-", printed, re.M)
@@ -175,7 +178,7 @@ def test_a_run_that_failed_when_it_was_repeated_does_not_pass(tmp_path, capsys):
     write_oneshot(tmp_path, "a")
     write_oneshot(tmp_path, "b", status="failed", reason="the link was lost")
     (tmp_path / "b.incomplete-1").mkdir()
-    assert main(["gate", str(tmp_path), "--probability", "1e-3", "--bursts", "1"]) == 1
+    assert main(["gate", str(tmp_path), "--deadline", "400us", "--probability", "1e-3", "--bursts", "1"]) == 1
     printed = capsys.readouterr().out
     assert re.search(r"^FAIL  NOT ANALYSED  b +-", printed, re.M) and "b: failed" in printed
 
@@ -194,7 +197,7 @@ COSTS = {"major_faults": 1, "voluntary_switches": 5000, "involuntary_switches": 
 def test_a_program_with_page_faults_fails_where_they_are_asked_for(tmp_path, capsys, costs, allowed, says):
     program = {"name": "oneshot_timer_tests", "argv": ["x"], "exit_status": 0, "costs": costs, "loops": 5000}
     write_oneshot(tmp_path, programs=[program])
-    question = ["gate", str(tmp_path), "--probability", "1e-2", "--bursts", "1"]
+    question = ["gate", str(tmp_path), "--deadline", "400us", "--probability", "1e-2", "--bursts", "1"]
     assert main(question) == 0
     capsys.readouterr()
     assert main([*question, "--max-page-faults", str(allowed)]) == (1 if says else 0)
@@ -207,7 +210,7 @@ def test_page_faults_of_the_processes_of_a_topology_count_and_of_observed_progra
         write_oneshot(tmp_path / suite)
         (tmp_path / suite / "b").mkdir()
         write_record(tmp_path / suite / "b", suite, [], {}, programs=programs, subject="attached")
-        question = ["gate", str(tmp_path / suite), "--probability", "1e-2", "--bursts", "1"]
+        question = ["gate", str(tmp_path / suite), "--deadline", "400us", "--probability", "1e-2", "--bursts", "1"]
         assert main(question) == 0
         capsys.readouterr()
         if says == "nobody counted":

@@ -28,7 +28,7 @@ LOG_2014 = LOGS_2014 / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log"
 
 
 def write(capsysbinary, results, form):
-    assert main(["report", str(results), "--format", form, "--output", "-"]) == 0
+    assert main(["report", str(results), "--deadline", "400us", "--format", form, "--output", "-"]) == 0
     return capsysbinary.readouterr().out
 
 
@@ -108,7 +108,7 @@ def test_what_a_target_says_stays_text(capsysbinary, tmp_path):
     assert any("<script>" in case.attrib["name"] for case in root.findall(".//testcase"))
     text = write(capsysbinary, tmp_path, "markdown").decode()
     assert "<script>" not in text.replace("\\<script\\>", "")
-    assert main(["gate", str(tmp_path)]) == 1
+    assert main(["gate", str(tmp_path), "--deadline", "400us"]) == 1
     assert b"\x1b" not in capsysbinary.readouterr().out
 
 
@@ -138,7 +138,7 @@ def test_a_reason_from_a_target_makes_no_line_of_its_own(capsysbinary, tmp_path)
         "size_bytes": path.stat().st_size, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()
     }  # fmt: skip
     (folder / "run.json").write_text(json.dumps(record))
-    for command in (["show"], ["report"], ["gate"], ["claims"]):
+    for command in (["show"], ["report", "--deadline", "1ms"], ["gate", "--deadline", "1ms"], ["claims"]):
         main([*command, str(tmp_path)])
         header = capsysbinary.readouterr().out
         assert b"left?PROVEN" in header and b"\nPROVEN" not in header and b"\x1b" not in header
@@ -146,7 +146,7 @@ def test_a_reason_from_a_target_makes_no_line_of_its_own(capsysbinary, tmp_path)
 
 def test_a_report_is_written_beside_the_results(capsys, tmp_path):
     folder = oneshot_run(tmp_path, "a", latencies(300, 1), logs=True)
-    assert main(["report", str(tmp_path)]) == 0
+    assert main(["report", str(tmp_path), "--deadline", "400us"]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert (
         printed[0].startswith("It is not decided whether the deadline of 400 us is met. Asked: ")
@@ -163,7 +163,7 @@ def test_where_it_cannot_be_written_the_answer_is_printed(capsys, tmp_path):
     oneshot_run(tmp_path, "a", latencies(300, 1), logs=True)
     (tmp_path / "report.html").mkdir()
     for words, remedy in (([], ": name another file by --output"), (["--output", str(tmp_path / "report.html")], "")):
-        assert main(["report", str(tmp_path), *words]) == 2
+        assert main(["report", str(tmp_path), "--deadline", "400us", *words]) == 2
         printed = capsys.readouterr()
         assert "NEEDS MORE" in printed.out and "file://" not in printed.out
         assert printed.err == f"rtrun: {tmp_path}/report.html: cannot be written: Is a directory{remedy}\n"
@@ -176,7 +176,17 @@ def test_who_may_not_write_beside_the_results_gets_the_answer(tmp_path):
     results = tmp_path / "results"
     for path in (oneshot_run(results, "a", latencies(300, 1), logs=True), results):
         os.chown(path, 12345, 12345)
-    argv = ["setpriv", "--bounding-set=-dac_override", sys.executable, "-m", "rtrun.cli", "report", str(results)]
+    argv = [
+        "setpriv",
+        "--bounding-set=-dac_override",
+        sys.executable,
+        "-m",
+        "rtrun.cli",
+        "report",
+        str(results),
+        "--deadline",
+        "1ms",
+    ]
     done = subprocess.run(argv, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and "NEEDS MORE" in done.stdout
     assert (
@@ -242,5 +252,5 @@ def test_a_file_that_says_another_format_than_it_holds(campaign, capsys, tmp_pat
 )
 def test_the_end_of_a_file_says_its_format(campaign, tmp_path, monkeypatch, words, start):
     monkeypatch.chdir(tmp_path)
-    assert main(["report", str(campaign), "--output", *words]) == 0
+    assert main(["report", str(campaign), "--deadline", "400us", "--output", *words]) == 0
     assert (tmp_path / words[0]).read_bytes().startswith(start)

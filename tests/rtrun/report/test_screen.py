@@ -38,7 +38,9 @@ VERDICT = [sys.executable, "-m", "rtrun.cli", "verdict"]
 @pytest.mark.parametrize("width", ["60", "140"])
 def test_columns_is_honoured_in_a_pipe(campaign, width: str) -> None:
     environment = os.environ | {"COLUMNS": width}
-    done = subprocess.run([*VERDICT, campaign], env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [*VERDICT, campaign, "--deadline", "400us"], env=environment, capture_output=True, text=True, check=True
+    )
     assert "\x1b" not in done.stdout and "…" not in done.stdout
     assert ("─" in done.stdout) == (width == "140")
 
@@ -46,7 +48,7 @@ def test_columns_is_honoured_in_a_pipe(campaign, width: str) -> None:
 def test_answers_have_colours_on_a_terminal(campaign) -> None:
     ours, theirs = pty.openpty()
     environment = {key: value for key, value in os.environ.items() if key != "NO_COLOR"} | {"TERM": "xterm"}
-    with subprocess.Popen([*VERDICT, campaign], env=environment, stdout=theirs) as process:
+    with subprocess.Popen([*VERDICT, campaign, "--deadline", "400us"], env=environment, stdout=theirs) as process:
         os.close(theirs)
         shown = b""
         while chunk := _read(ours):

@@ -248,7 +248,7 @@ def test_unknown_boards_never_pool_and_pass_no_gate(tmp_path, capsys):
     assert import_all(tmp_path) == 0
     analysed = study(tmp_path / "out", Question(probability=0.9))
     assert len(analysed.groups) == 2 and not analysed.pooled
-    question = ["--probability", "0.9", "--assume-independent", "--bursts", "1"]
+    question = ["--deadline", "400us", "--probability", "0.9", "--assume-independent", "--bursts", "1"]
     assert main(["gate", str(tmp_path / "out"), *question]) == 1
     assert capsys.readouterr().out.count("of an unknown board: import it with --board") >= 1
     assert (
