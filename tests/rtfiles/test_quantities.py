@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from rtfiles.quantities import at_least_in, at_most_in, one_in
+from rtfiles.quantities import at_least_in, at_most_in, one_in, rounded_down, rounded_up
 
 
 @pytest.mark.parametrize(
@@ -53,4 +53,5 @@ def test_no_share_is_rounded_to_the_wrong_side_or_by_more_than_a_third() -> None
         share = math.exp(draw.uniform(math.log(1e-11), math.log(0.9)))
         most, least = value_of(at_most_in(share)), value_of(at_least_in(share))
         assert least <= share * (1 + 1e-8) and share * (1 - 1e-8) <= most, share
+        assert float(rounded_down(share)) <= share * (1 + 1e-8) and share * (1 - 1e-8) <= float(rounded_up(share))
         assert most <= share * 4 / 3 + 1e-15 and least >= share * 2 / 3, share

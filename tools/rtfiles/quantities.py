@@ -51,9 +51,22 @@ def at_least_in(share: float) -> str:
     return one_in(_one_digit(share, math.floor)) if share < 1 else "all"
 
 
+def rounded_up(share: float) -> str:
+    """A share to two digits, no lower than it is."""
+    return f"{_to_digits(share, 1, math.ceil):.2g}" if share else "0"
+
+
+def rounded_down(share: float) -> str:
+    """A share to two digits, no higher than it is."""
+    return f"{_to_digits(share, 1, math.floor):.2g}" if share else "0"
+
+
 def _one_digit(share: float, rounded: Callable[[float], int]) -> float:
+    return _to_digits(share, 0 if share / 10.0 ** math.floor(math.log10(share)) >= 3 else 1, rounded)
+
+
+def _to_digits(share: float, digits: int, rounded: Callable[[float], int]) -> float:
     exponent = math.floor(math.log10(share))
-    digits = 0 if share / 10.0**exponent >= 3 else 1
     # What is exact but for its binary form is not rounded to the next digit.
     whole = rounded(float(f"{share * 10.0 ** (digits - exponent):.9g}"))
     return whole * 10.0 ** (exponent - digits)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtfiles.output import counted, listed, printable
-from rtfiles.quantities import duration, grouped, percent, time
+from rtfiles.quantities import duration, grouped, percent, rounded_down, rounded_up, time
 from rtrun.analysis.account import HOURS
 from rtrun.analysis.deadline import Answer, Unlike, Verdict
 from rtrun.analysis.order.trends import LEAST_UNITS, Climb
@@ -162,7 +162,8 @@ def bound_text(verdict: Verdict | None) -> str:
     """The bound of P(miss) that decides, for a table; a dash where none can be given."""
     if verdict is None or verdict.refused or (verdict.answer == Answer.NEEDS_MORE and _has_no_rate(verdict)):
         return "-"
-    return f">= {verdict.lower:.2g}" if verdict.answer == Answer.REFUTED else f"<= {verdict.upper:.2g}"
+    is_refuted = verdict.answer == Answer.REFUTED
+    return f">= {rounded_down(verdict.lower)}" if is_refuted else f"<= {rounded_up(verdict.upper)}"
 
 
 def _has_no_rate(verdict: Verdict) -> bool:

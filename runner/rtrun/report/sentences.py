@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from rtfiles.output import counted, printable
 from rtfiles.quantities import at_least_in, at_most_in, duration, grouped, time
 from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.analysis.order.stationarity import UNSTEADY
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import (
     counts_in_words,
@@ -57,7 +58,7 @@ def lines(study: Study, made: Sequence[Scenario]) -> "Table":
         text = sentence(one)
         if one.group.key in study.members and one.answer == Answer.NEEDS_MORE:
             # All boards together are decided, or say what is missing.
-            text = text.partition(";")[0]
+            text = f"{text.partition(';')[0]}; it counts with the other boards"
         grid.add_row(printable(study.short_name(one.group)), printable(text.removesuffix(said)))
     return grid
 
@@ -106,7 +107,8 @@ def _open(verdict: Verdict, most: str) -> list[str]:
     if hidden := hidden_in_words(verdict):
         return [f"no rate can be given: {hidden}"]
     if verdict.change is not None:
-        return [f"no rate can be given: {verdict.change.what} ({verdict.change.text})"]
+        what = verdict.change.what.replace(UNSTEADY, "values changed while it was measured")
+        return [f"no rate can be given: {what} ({verdict.change.text})"]
     likely = verdict.further_likely
     if likely is not None and likely[0] is Answer.REFUTED:
         return [f"probably too many; {_measuring(verdict, likely[1])} would prove that"]

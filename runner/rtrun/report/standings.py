@@ -27,7 +27,7 @@ from rtrun.report.tables import Table
 def question(study: Study) -> str:
     """The question that is answered."""
     boots = counted(study.question.boots, "boot")
-    return f"asked: {study.asked_in_full}, on at least {boots}, with {study.question.covered}"
+    return f"asked: {study.asked_in_full}, on at least {boots}, allowing for {study.question.covered}"
 
 
 def table(standings: Sequence[Standing]) -> Table:

@@ -1,6 +1,7 @@
 """Results for which nobody named a deadline: figures and how to ask, and no verdict by a deadline of others."""
 
 import json
+import re
 
 import pytest
 from report.campaigns import write_campaign
@@ -30,7 +31,7 @@ def test_there_are_figures_and_how_to_ask(results, capsys, command, how):
     assert "cyclic_timer RR 1000 Hz" in printed and "p99.9" in printed
     assert main([*command, str(results), "--deadline", "1ms"]) == 0
     printed = capsys.readouterr().out
-    assert how not in printed and "REFUTED" in printed
+    assert how not in printed and re.search("is not met in 5 of 15|REFUTED", printed)
 
 
 def test_no_file_names_a_deadline(results, capsys):

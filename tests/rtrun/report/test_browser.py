@@ -126,7 +126,7 @@ def folder(campaign, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     results = shutil.copytree(campaign, folder / campaign.name)
     write_topology_run(results / "900-topology", made_topology(topology_of(folder, BRAKING)))
-    assert main(["report", str(results), "--output", str(folder / "report.html")]) == 0
+    assert main(["report", str(results), "--deadline", "400us", "--output", str(folder / "report.html")]) == 0
     target = {"name": EVIL, "kernel_release": EVIL, "kernel_version": EVIL}
     hostile = folder / "<b>results"
     for name in ("a<img src=y onerror=missing()>", "b" * 200):

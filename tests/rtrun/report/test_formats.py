@@ -165,7 +165,7 @@ def test_where_it_cannot_be_written_the_answer_is_printed(capsys, tmp_path):
     for words, remedy in (([], ": name another file by --output"), (["--output", str(tmp_path / "report.html")], "")):
         assert main(["report", str(tmp_path), "--deadline", "400us", *words]) == 2
         printed = capsys.readouterr()
-        assert "NEEDS MORE" in printed.out and "file://" not in printed.out
+        assert "It is not decided" in printed.out and "file://" not in printed.out
         assert printed.err == f"rtrun: {tmp_path}/report.html: cannot be written: Is a directory{remedy}\n"
     assert main(["report", str(tmp_path), "--output", str(tmp_path / "b.html")]) == 0
 
@@ -188,7 +188,7 @@ def test_who_may_not_write_beside_the_results_gets_the_answer(tmp_path):
         "1ms",
     ]
     done = subprocess.run(argv, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and "NEEDS MORE" in done.stdout
+    assert done.returncode == 2 and "It is not decided" in done.stdout
     assert (
         done.stderr
         == f"rtrun: {results}/report.html: cannot be written: Permission denied: name another file by --output\n"

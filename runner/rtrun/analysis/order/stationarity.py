@@ -13,6 +13,7 @@ from rtrun.kinds.values import Int64s
 SIGNIFICANT = 0.01
 SIGNIFICANT_OF_MISSES = 0.02
 PARTS = 8
+UNSTEADY = "it did not stay the same"
 # Events are also compared from piece to piece. A piece is longer than any burst, so a change is not taken for a burst.
 PIECES = 64
 # Cochran (1954): the chi-squared test needs about five expected events in each part.
@@ -30,7 +31,7 @@ class Change:
     p_value: float
     significant: float
     text: str
-    what: str = "it did not stay the same"
+    what: str = UNSTEADY
     missing_loops: int | None = None
 
 
