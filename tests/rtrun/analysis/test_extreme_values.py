@@ -208,19 +208,15 @@ def test_fits_are_those_of_scipy() -> None:
     )
 
 
-def test_levels_are_those_of_pyextremes() -> None:
-    import pandas
-    import pyextremes
-
+def test_levels_are_those_of_scipy() -> None:
+    """The oracle: the level that scipy's fit to all values above the same threshold gives."""
     values = exponential(50_000)
     bound = bounds(values, probability=1e-5)[0]
     assert bound.threshold_ns is not None and bound.level_ns is not None
-    series = pandas.Series(values.astype(float), index=pandas.date_range("2026-01-01", periods=values.size, freq="s"))
-    model = pyextremes.EVA(series)
-    model.get_extremes(method="POT", threshold=bound.threshold_ns, r="1s")
-    model.fit_model(distribution="genpareto")
-    level, *_ = model.get_return_value(return_period=1e5, return_period_size="1s", alpha=None)
-    assert bound.level_ns == pytest.approx(level, rel=0.02)
+    excess = values[values > bound.threshold_ns] - bound.threshold_ns
+    shape, _, scale = genpareto.fit(excess, floc=0)
+    beyond = genpareto.isf(1e-5 * values.size / excess.size, shape, scale=scale)
+    assert bound.level_ns == pytest.approx(bound.threshold_ns + beyond, rel=0.02)
 
 
 def test_the_same_values_give_the_same_bound() -> None:
