@@ -80,13 +80,13 @@ test-archive: setup
 	    for package in *.deb; do dpkg -x $$package .; done
 	$(BIN)/pytest -s tests/rtrun/archive/other_programs.py tests/rtrun/archive/object_storage.py tests/rtrun/archive/prometheus.py
 
-# The Python packages of `tools/setup dev`: the newest of pyproject.toml's ranges, with hashes, for Python 3.11 and newer.
+# The Python packages of `tools/setup dev`, with hashes: of each the newest version that is for Python 3.11 and every newer one.
 # And the wheels of ROS 2 for tests, without what only its programs in Python need.
 NOT_OF_ROS := empy lark-parser numpy pyyaml setuptools typing-extensions
 lock: setup
 	$(BIN)/pip install --quiet uv
-	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --upgrade \
-	    --no-annotate --quiet --custom-compile-command "make lock" --output-file tools/python-packages.txt
+	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --fork-strategy fewest --python-version 3.11 \
+	    --generate-hashes --upgrade --no-annotate --quiet --custom-compile-command "make lock" --output-file tools/python-packages.txt
 	for distro in kilted jazzy; do \
 	    $(BIN)/uv pip compile tests/ros2/$$distro.in --universal --python-version 3.11 --generate-hashes --upgrade \
 	        $(addprefix --no-emit-package ,$(NOT_OF_ROS)) \
