@@ -6,8 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 from rtfiles.errors import UsageError
 from rtrun.execution import preparation, resumption, run_execution
@@ -95,7 +94,7 @@ def measure_rounds(
         # A run of another campaign may use a service of ours, for example the ROS master.
         return resumption.may_run_go_on(link, remote, session.known_runs()) or resumption.is_busy(link)
 
-    with link, _PreparedTarget(link, session, may_run_go_on, observer.note) as prepared:
+    with link, contextlib.closing(_PreparedTarget(link, session, may_run_go_on, observer.note)) as prepared:
         # This must come first: the contents of the folder decide what is ended or removed later.
         work_folder.make(link)
         # Runs that an earlier call left on the board come first: two runs at once would disturb each other.
@@ -114,7 +113,7 @@ def measure_rounds(
                 prepared.get(each.runs[0].kernel)
             except TargetRebooted as error:
                 # The target restarted on its own. The first run prepares it anew.
-                prepared.drop()
+                prepared.close()
                 observer.note(str(error))
             for run in sorted(each.runs, key=lambda run: run.name not in begun):
                 # A run in a round does not have the name of its group.
@@ -167,7 +166,7 @@ def _measure(
                 )
             return record.status, record.reason
         except TargetRebooted as error:
-            prepared.drop()
+            prepared.close()
             may_be_begun = True
             life.move(RunEvent.RESTART, str(error))
             observer.note(f"{run.name}: {error}")
@@ -196,14 +195,6 @@ class _PreparedTarget:
         self._kernels: dict[str, KernelName] = {}
         """The kernel that the target ran, by boot."""
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
-
     def get(self, kernel: KernelName | None = None) -> preparation.Prepared:
         """Return the target ready for runs; if a kernel is named, restart into it where necessary.
 
@@ -231,10 +222,10 @@ class _PreparedTarget:
         resumption.check_idle(self._link)
         into = f"into the kernel {kernel}" if kernel else "for the next round, which is to be on another boot"
         self._notify(f"restarting the target {into}")
-        self.drop()
+        self.close()
         restart(self._link, kernel)
 
-    def drop(self) -> None:
-        """Forget what was prepared: after a restart it is gone."""
+    def close(self) -> None:
+        """End what was prepared; after a restart it is gone."""
         self._ready = None
         self._stack.close()

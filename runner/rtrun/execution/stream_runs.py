@@ -138,14 +138,10 @@ def _noting(not_kept: list[str] | None, name: str) -> Iterator[None]:
     """Note what cannot be kept, if there is a list for it."""
     try:
         yield
-    except InfrastructureError as error:
-        if not_kept is None:
-            raise
-        not_kept.append(f"{name}: {error}")
     except Exception as error:
         if not_kept is None:
             raise
-        not_kept.append(f"{name}: {defect_in_words(error)}")
+        not_kept.append(f"{name}: {error if isinstance(error, InfrastructureError) else defect_in_words(error)}")
 
 
 def _in_words(stream: Stream) -> str:

@@ -147,6 +147,10 @@ _KINDS: dict[str, type[TargetConfig]] = {
 }
 
 
+Restart = Callable[[Connection], object]
+"""Restarts a target, or chooses what a restart starts."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Power:
     """The power switch of a target: `cycle` switches it off and on; the target then boots within `boot_s` seconds."""
@@ -174,9 +178,9 @@ class Target:
     boot_s: float = 0.0
     """How long it may take until SSH answers for the first time, in seconds."""
     console: Path | None = None
-    restart: Callable[[Connection], None] | None = None
+    restart: Restart | None = None
     """Asks the target to restart, and returns before it restarts; None: the target file does not say how."""
-    boot_kernel: Mapping[KernelName, Callable[[Connection], None]] = field(default_factory=dict)
+    boot_kernel: Mapping[KernelName, Restart] = field(default_factory=dict)
     """By kernel: chooses the kernel that `restart` starts."""
     power: Power | None = None
     """None: its power cannot be switched."""
@@ -283,7 +287,7 @@ def connect(
             place=place.name,
             console=console if place.has_console else None,
             power=None if cycle is None else Power(cycle=cycle, boot_s=config.boot_s),
-            restart=restart if restart or cycle is None else functools.partial(_restart_by_power, cycle),
+            restart=restart if restart or cycle is None else lambda _: cycle(),
         )
 
 
@@ -326,20 +330,13 @@ def _address(
     )
 
 
-Restart = Callable[[Connection], None]
-
-
 def _restarting(config: SshConfig | LabgridConfig) -> tuple[Restart | None, dict[KernelName, Restart]]:
     """From the target file: the function that restarts the target, and by kernel the one that chooses it before."""
     restart = functools.partial(_restart_by_command, config.restart) if config.restart else None
     return restart, {
-        kernel: functools.partial(_choose_by_command, command) for kernel, command in config.boot_kernel.items()
+        kernel: functools.partial(Connection.check, argv=command, deadline_s=CHOOSE_KERNEL_S)
+        for kernel, command in config.boot_kernel.items()
     }
-
-
-def _restart_by_power(cycle: Callable[[], None], connection: Connection) -> None:
-    del connection
-    cycle()
 
 
 def _state_folder() -> Path:
@@ -355,7 +352,3 @@ def _restart_by_command(argv: Sequence[str], connection: Connection) -> None:
     # The board may be gone before it answers. If asked a second time, it would restart once more.
     with contextlib.suppress(ConnectionLost):
         connection.check(argv)
-
-
-def _choose_by_command(argv: Sequence[str], connection: Connection) -> None:
-    connection.check(argv, deadline_s=CHOOSE_KERNEL_S)

@@ -43,22 +43,20 @@ class Aftermath:
         try:
             with self.deferring():
                 yield
-        except KeyboardInterrupt as error:
+        except (KeyboardInterrupt, Exception) as error:
             if self.observed is None:
                 raise
-            self.cut_off = error
-        except InfrastructureError as error:
-            if self.observed is None:
-                raise
-            self.troubles.append(str(error))
-            # An attending user has seen the restart, and waits for nothing more.
-            if isinstance(error, TargetRebooted) and not self.is_attended:
-                self.cut_off = self.cut_off or error
-        except Exception as error:
-            if self.observed is None:
-                raise
-            self.troubles.append(defect_in_words(error))
-            self.cut_off = self.cut_off or error
+            match error:
+                case KeyboardInterrupt():
+                    self.cut_off = error
+                case InfrastructureError():
+                    self.troubles.append(str(error))
+                    # An attending user has seen the restart, and waits for nothing more.
+                    if isinstance(error, TargetRebooted) and not self.is_attended:
+                        self.cut_off = self.cut_off or error
+                case _:
+                    self.troubles.append(defect_in_words(error))
+                    self.cut_off = self.cut_off or error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

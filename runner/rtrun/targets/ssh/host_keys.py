@@ -5,6 +5,7 @@ known_hosts signed it for this host, and its plain key may be listed as well.
 """
 
 import base64
+import fnmatch
 import hashlib
 import hmac
 import shlex
@@ -198,22 +199,10 @@ def _names(patterns: bytes, host: str) -> bool:
 
 def matches(pattern: str, word: str) -> bool:
     """Whether a word matches a pattern in which ``*`` stands for any text and ``?`` for one character."""
-    at, star, resume = 0, -1, 0
-    place = 0
-    while place < len(word):
-        if at < len(pattern) and pattern[at] == "*":
-            star, resume = at, place
-            at += 1
-        elif at < len(pattern) and pattern[at] in ("?", word[place]):
-            at += 1
-            place += 1
-        elif star >= 0:
-            # Let the last star stand for one character more.
-            resume += 1
-            at, place = star + 1, resume
-        else:
-            return False
-    return not pattern[at:].strip("*")
+    if "*" not in pattern and "?" not in pattern:
+        return pattern == word
+    # A bracket stands for itself, as in OpenSSH.
+    return fnmatch.fnmatchcase(word, pattern.replace("[", "[[]"))
 
 
 def check_host_key(address: Address, key: "paramiko.PKey", known: HostKeys) -> None:
