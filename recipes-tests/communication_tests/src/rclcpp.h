@@ -16,7 +16,7 @@ struct Rclcpp : rt_tests::Rclcpp {
   class Publisher {
    public:
     Publisher(Context& context, const rt_tests::Options& options)
-        : message_(ros2::message_of(options)),
+        : message_(rt_tests::message_of(ros2::bytes_of(options))),
           publisher_(context.node().create_publisher<ros2::Message>(ros2::topic, quality_of(options))) {}
 
     bool publish(const rt_tests::Stamp& stamp) noexcept {

@@ -1,36 +1,27 @@
 // What rcl and rclcpp have in common for publisher and subscriber: the message, its topic and its quality of service.
 #pragma once
 
-#include <rmw/qos_profiles.h>
 #include <rmw/qos_string_conversions.h>
-
-#include <std_msgs/msg/u_int8_multi_array.hpp>
 
 #include <string>
 
 #include "rt_tests_support/measure/wire.h"
 #include "rt_tests_support/options.h"
+#include "rt_tests_support/rcl_messages.h"
 #include "rt_tests_support/report.h"
 
 namespace ros2 {
 
-// A type of ROS 2's own, so that the programs need no library of messages beside them; `data` has the fields of 2014's.
-using Message = std_msgs::msg::UInt8MultiArray;
+// Its `data` has the fields of 2014's.
+using Message = rt_tests::BytesMessage;
 constexpr char topic[] = "communication_tests";
 
-inline Message message_of(const rt_tests::Options& options) {
-  Message message;
-  message.data.assign(communication::stamp_bytes + static_cast<std::size_t>(options.number("payload_bytes")), 0xff);
-  return message;
+inline std::size_t bytes_of(const rt_tests::Options& options) {
+  return communication::stamp_bytes + static_cast<std::size_t>(options.number("payload_bytes"));
 }
 
 inline rmw_qos_profile_t quality_of(const rt_tests::Options& options) {
-  rmw_qos_profile_t quality = rmw_qos_profile_default;
-  quality.reliability = options.text("reliability") == "reliable" ? RMW_QOS_POLICY_RELIABILITY_RELIABLE
-                                                                  : RMW_QOS_POLICY_RELIABILITY_BEST_EFFORT;
-  quality.history = RMW_QOS_POLICY_HISTORY_KEEP_LAST;
-  quality.depth = static_cast<std::size_t>(options.number("depth"));
-  return quality;
+  return rt_tests::quality_of(options.text("reliability") == "reliable", options.number("depth"));
 }
 
 // The quality of service in effect: an RMW may have settings of its own. What it does not know is not told.

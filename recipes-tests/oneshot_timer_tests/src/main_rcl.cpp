@@ -2,13 +2,4 @@
 #include "rt_tests_support/measure/oneshot.h"
 #include "rt_tests_support/rcl.h"
 
-namespace {
-
-struct Rcl : rt_tests::Rcl {
-  template <class Timer>
-  using Waiter = oneshot::SpinningWaiter<Context, Timer>;
-};
-
-}  // namespace
-
-int main(int argc, char* argv[]) { return oneshot::main<Rcl>(argc, argv); }
+int main(int argc, char* argv[]) { return oneshot::main<oneshot::Spinning<rt_tests::Rcl>>(argc, argv); }

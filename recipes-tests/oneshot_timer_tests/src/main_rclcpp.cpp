@@ -2,13 +2,4 @@
 #include "rt_tests_support/measure/oneshot.h"
 #include "rt_tests_support/rclcpp.h"
 
-namespace {
-
-struct Rclcpp : rt_tests::Rclcpp {
-  template <class Timer>
-  using Waiter = oneshot::SpinningWaiter<Context, Timer>;
-};
-
-}  // namespace
-
-int main(int argc, char* argv[]) { return oneshot::main<Rclcpp>(argc, argv); }
+int main(int argc, char* argv[]) { return oneshot::main<oneshot::Spinning<rt_tests::Rclcpp>>(argc, argv); }

@@ -45,13 +45,11 @@ class RclWaitSet {
     check(rcl_wait_set_add_timer(&set_, &timer, nullptr), "wait for a timer");
     return wait(limit_ns) && set_.timers[0] != nullptr;
   }
-  bool wait_for(const rcl_subscription_t& subscription, int64_t limit_ns) {
-    return wait_for(&subscription, 1, limit_ns) && has_message(0);
-  }
-  bool wait_for(const rcl_subscription_t* subscriptions, std::size_t count, int64_t limit_ns) {
+  template <class Subscriptions>
+  bool wait_for(const Subscriptions& subscriptions, int64_t limit_ns) {
     check(rcl_wait_set_clear(&set_), "clear a wait set");
-    for (std::size_t i = 0; i < count; ++i) {
-      check(rcl_wait_set_add_subscription(&set_, &subscriptions[i], nullptr), "wait for messages");
+    for (const rcl_subscription_t* subscription : subscriptions) {
+      check(rcl_wait_set_add_subscription(&set_, subscription, nullptr), "wait for messages");
     }
     return wait(limit_ns);
   }

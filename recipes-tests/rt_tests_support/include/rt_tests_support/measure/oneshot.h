@@ -45,6 +45,13 @@ class SpinningWaiter {
   const int64_t limit_ns_;
 };
 
+// A middleware whose callbacks the measuring thread runs.
+template <class Middleware>
+struct Spinning : Middleware {
+  template <class Timer>
+  using Waiter = SpinningWaiter<typename Middleware::Context, Timer>;
+};
+
 // What a middleware makes with the first shot, above all threads, is not measured.
 template <class Context, class Timer>
 void fire_first(Context& context, Timer& timer, const bool& fired) {
