@@ -40,6 +40,15 @@ def suites(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return builder.build("host", tmp_path_factory.mktemp("suites"))
 
 
+@pytest.fixture(scope="session")
+def preloaded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the libraries that tests put before a program's own."""
+    folder = tmp_path_factory.mktemp("preloaded")
+    for source in (Path(__file__).parent / "preloaded").glob("*.cpp"):
+        output_of("c++", "-shared", "-fPIC", "-O1", str(source), "-o", str(folder / source.stem), "-ldl")
+    return folder
+
+
 def options_of(program: str, middleware: str = "roscpp") -> dict[str, dict[str, Any]]:
     """What suites.yml says of the options that a program takes through a middleware."""
     known = read_yaml(builder.sources() / "suites.yml")

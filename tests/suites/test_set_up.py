@@ -10,11 +10,10 @@ import pytest
 
 from ports import free_domain, give_back_domain
 
-from .conftest import PROGRAMS, Bench, Ended, end, is_measuring, output_of, wait_until
+from .conftest import PROGRAMS, Bench, Ended, end, is_measuring, wait_until
 
 pytestmark = pytest.mark.ros
 
-SOURCES = Path(__file__).parent / "preloaded"
 ROWS = 2_000_000
 # Bytes of a row of samples, and what the subscriber keeps besides of each message.
 ROW_BYTES = {"oneshot_timer_tests": 40, "cyclic_timer_tests": 24, "communication_tests_subscriber": 24.125}
@@ -32,14 +31,6 @@ node 1 takes 1 any 0 0 0 0 {ROWS}
 in 1 0 {ROWS}
 end
 """
-
-
-@pytest.fixture(scope="session")
-def preloaded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("preloaded")
-    for source in SOURCES.glob("*.cpp"):
-        output_of("c++", "-shared", "-fPIC", "-O1", str(source), "-o", str(folder / source.stem), "-ldl")
-    return folder
 
 
 def kib_at_first_policy(path: Path) -> dict[str, int]:
@@ -147,7 +138,7 @@ def test_a_thread_that_throws_ends_its_program_with_an_error(
 
 def test_the_calls_that_throw_are_those_of_roscpp(bench: Bench) -> None:
     """The names in preloaded/throwing_roscpp.cpp are those that the programs look for."""
-    source = (SOURCES / "throwing_roscpp.cpp").read_text()
+    source = (Path(__file__).parent / "preloaded/throwing_roscpp.cpp").read_text()
     for program, names in {"communication_tests_publisher": "PUBLISH", "cyclic_timer_tests": "WAIT"}.items():
         (path,) = bench.suites.glob(f"lib/*/{program}")
         wanted = subprocess.run(["nm", "-D", "-u", path], capture_output=True, text=True, check=True).stdout

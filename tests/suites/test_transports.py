@@ -241,6 +241,24 @@ def test_shared_memory_that_is_full(bench: Bench, domain: int) -> None:
     )
 
 
+@pytest.mark.parametrize("role", ["publisher", "subscriber"])
+def test_a_kernel_without_locks(bench: Bench, domain: int, preloaded: Path, role: str) -> None:
+    """Whoever gets no lock says so: it said that no subscriber was connected, after a minute."""
+    memory = Path(f"/dev/shm/rt_tests-{domain}")
+    if role == "subscriber":
+        sender = bench.start("communication_tests_publisher_futex", "--subscribers", "1")
+        wait_until(lambda: is_measuring(sender), sender)
+    bench.environment["LD_PRELOAD"] = str(preloaded / "no_locks")
+    ended = bench.run(f"communication_tests_{role}_futex", "-r", "10")
+    reason = {"publisher": "Permission denied", "subscriber": "Invalid argument"}[role]
+    assert (ended.status, ended.err) == (
+        1,
+        f"\tERROR: cannot lock the shared memory /{memory.name}, which needs Linux 3.15 or later "
+        f"with CONFIG_FILE_LOCKING: {reason}\n",
+    )
+    assert memory.exists() == (role == "subscriber")
+
+
 def test_a_ring_that_has_overtaken_its_subscriber(bench: Bench, domain: int) -> None:
     """The subscriber is stopped until all was sent: it gets what is still in the ring, and misses the rest."""
     arguments = ("-r", "100", "-f", "200", "-l", "2000000")  # eight of them fit

@@ -56,14 +56,24 @@ struct Transport {
     return file;
   }
 
-  // Locks a byte for as long as the file is open. False if another program has it.
+  // Locks a byte for as long as the file is open. False if another program has it. Throws Failure.
   static bool lock(const transport::File& file, off_t byte) {
     struct flock range = of(byte);
-    return fcntl(file.number(), F_OFD_SETLK, &range) == 0;
+    const bool is_ours = fcntl(file.number(), F_OFD_SETLK, &range) == 0;
+    require_locks(is_ours || errno == EAGAIN);
+    return is_ours;
   }
   static bool is_locked(const transport::File& file, off_t byte) {
     struct flock range = of(byte);
-    return fcntl(file.number(), F_OFD_GETLK, &range) == 0 && range.l_type != F_UNLCK;
+    require_locks(fcntl(file.number(), F_OFD_GETLK, &range) == 0);
+    return range.l_type != F_UNLCK;
+  }
+  // A kernel without CONFIG_FILE_LOCKING answers EACCES or EINVAL, one before 3.15 EINVAL.
+  static void require_locks(bool hold) {
+    if (hold) return;
+    const bool may_lack_them = errno == EACCES || errno == EINVAL;
+    const char* const needs = may_lack_them ? ", which needs Linux 3.15 or later with CONFIG_FILE_LOCKING" : "";
+    transport::require(false, "lock the shared memory " + memory() + needs);
   }
   static struct flock of(off_t byte) {
     struct flock range {};
@@ -122,19 +132,18 @@ struct Transport {
       const std::size_t size = sizeof(Slot) + slots * each_bytes;
       file_ = transport::File(shm_open(memory_.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0600));
       transport::require(static_cast<bool>(file_), "make the shared memory " + memory_);
+      made_.name = memory_;
       // Else a full file system would be told by a signal when it is written to.
       errno = posix_fallocate(file_.number(), 0, static_cast<off_t>(size));
-      if (errno != 0) shm_unlink(memory_.c_str());
       transport::require(errno == 0, "reserve " + std::to_string(size) + " bytes of shared memory " + memory_);
       mapping_ = Mapping(file_, size);
       Ring& ring = *new (&mapping_.ring()) Ring{};
       ring.slots = slots;
       ring.frame_bytes = frame_.size();
       ring.slot_bytes = each_bytes;
-      lock(file_, publishers_byte);  // from now on subscribers come
-    }
-    ~Publisher() {
-      if (file_) shm_unlink(memory_.c_str());
+      if (!lock(file_, publishers_byte)) {  // from now on subscribers come
+        throw rt_tests::Failure("another program has the lock of the new shared memory " + memory_);
+      }
     }
 
     bool publish(const rt_tests::Stamp& stamp) noexcept {
@@ -159,10 +168,19 @@ struct Transport {
     }
 
    private:
+    // Removes the name also where the constructor throws, and before the lock goes.
+    struct Made {
+      ~Made() {
+        if (!name.empty()) shm_unlink(name.c_str());
+      }
+      std::string name;
+    };
+
     transport::Frame frame_;
     const std::string memory_;
     transport::File file_;
     Mapping mapping_;
+    Made made_;
   };
 
   template <class CallBack>
