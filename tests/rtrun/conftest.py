@@ -32,6 +32,17 @@ def rebooting(loopback, tmp_path):
 
 
 @pytest.fixture
+def without_locks(loopback, tmp_path):
+    """A target whose kernel lacks FILE_LOCKING, as far as its shells can see."""
+    (tmp_path / "sshd").mkdir()
+    flock = tmp_path / "flock"
+    flock.write_text("#!/bin/sh\necho 'flock: Function not implemented' >&2\nexit 1\n")
+    flock.chmod(0o755)
+    with serve(tmp_path / "sshd", seeing({"/usr/bin/flock": flock})) as server:
+        yield replace(loopback, address=server.address)
+
+
+@pytest.fixture
 def suites_folder(tmp_path):
     return tmp_path / "suites"
 

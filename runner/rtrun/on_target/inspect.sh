@@ -8,6 +8,11 @@ ros_setup=${2-}
 for tool in setsid flock sha256sum md5sum chrt sed; do
     command -v $tool >/dev/null || echo "missing $tool"
 done
+# A lock tells whether a program lives: where locking fails, everything would seem to run for ever. A lock that is taken
+# fails in silence.
+if command -v flock >/dev/null; then
+    message=$(flock -n -s "$1/.rt-tests" true 2>&1) || [ -z "$message" ] || echo "no_locks $message" | head -n 1
+fi
 # Those that build_suites.sh built come before others.
 for program in "$1"/built/lib/*_tests/*_tests* "$1/built/lib/rt_tests_sampler/rt_tests_sampler" /usr/lib/*_tests/*_tests*; do
     [ -x "$program" ] && echo "program $program"

@@ -160,10 +160,15 @@ def running(
                     link.run(["rm", "-rf", str(folder)])
 
 
+# A lock that is taken fails in silence. Where locking itself fails, nobody knows whether the master runs.
+_LOCKED = '[ ! -e "$1" ] || message=$(flock -n "$1" true 2>&1) || echo "taken $message"'
+
+
 def _is_running(link: Link, folder: PurePosixPath) -> bool:
-    lock = str(folder / f"{NAME}.lock")
-    command = ["sh", "-c", '[ -e "$1" ] && ! flock -n "$1" true', "sh", lock]
-    return link.run(command).status == 0
+    taken, _, message = link.check(["sh", "-c", _LOCKED, "sh", str(folder / f"{NAME}.lock")]).strip().partition(" ")
+    if message:
+        raise TargetError(f"{link.target.address}: whether the ROS master runs is not known: {message[:200]}")
+    return taken == "taken"
 
 
 def _is_port_taken(link: Link) -> bool:

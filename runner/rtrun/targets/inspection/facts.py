@@ -42,7 +42,7 @@ _KERNEL_CONFIG = "zcat /proc/config.gz 2>/dev/null || cat /boot/config-$(uname -
 POLICIES = {0: "OTHER", 1: "FIFO", 2: "RR", 3: "BATCH", 5: "IDLE", 6: "DEADLINE"}
 # The names of the lines that inspect.sh prints.
 _CODE_NAME = re.compile("[a-z]{1,32}")
-_FACTS = frozenset(("missing", "program", "elf", "debian", "cpus", "free_kib", "built"))
+_FACTS = frozenset(("missing", "no_locks", "program", "elf", "debian", "cpus", "free_kib", "built"))
 # The names of the lines that the script of a middleware prints.
 _INSTALLED = frozenset(("setup", "server", "version", "program"))
 # Comes before the output of the script of a middleware.
@@ -169,6 +169,11 @@ def inspect(link: "Link") -> Equipment:
     if "missing" in facts:
         raise TargetError(
             f"{target.address}: the target lacks {', '.join(facts['missing'])}: install util-linux, coreutils"
+        )
+    if "no_locks" in facts:
+        raise TargetError(
+            f"{target.address}: files in {target.work_dir} cannot be locked ({facts['no_locks'][0][:200]}): the runner "
+            "needs a kernel with CONFIG_FILE_LOCKING, and a work_dir on a file system that has locks"
         )
     programs = [*facts.get("program", []), *(path for one in found.values() for path in one.get("program", []))]
     return Equipment(

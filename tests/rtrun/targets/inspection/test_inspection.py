@@ -1,6 +1,7 @@
 """What a target says of itself, read into types."""
 
 import contextlib
+import fcntl
 import json
 import platform
 import subprocess
@@ -11,8 +12,10 @@ import pytest
 
 from rtfiles.errors import UsageError
 from rtrun.targets.deploy import ON_TARGET
+from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import architecture
 from rtrun.targets.inspection import facts as inspection
+from rtrun.targets.link import Link
 
 THREAD = "12 (a) b) S " + " ".join("0" * 36) + " "
 
@@ -179,3 +182,22 @@ def test_suites_for_another_release_of_debian(link, tmp_path):
     assert message.endswith(" suites build --suite trixie")
     equipment = replace(equipment, debian=None)
     check({"debian": "bookworm"})
+
+
+@pytest.mark.sshd
+@pytest.mark.root
+def test_a_target_whose_files_cannot_be_locked(without_locks):
+    """Its kernel lacks FILE_LOCKING, or its file system has no locks: each program would seem to run for ever."""
+    message = (
+        r"cannot be locked \(flock: Function not implemented\): the runner needs a kernel with CONFIG_FILE_LOCKING"
+    )
+    with Link(without_locks, print) as link, pytest.raises(TargetError, match=message):
+        inspection.inspect(link)
+
+
+@pytest.mark.sshd
+def test_a_lock_that_is_taken_is_no_broken_one(link):
+    inspection.inspect(link)
+    with Path(link.target.work_dir, ".rt-tests").open() as mark:
+        fcntl.flock(mark, fcntl.LOCK_EX)
+        inspection.inspect(link)
