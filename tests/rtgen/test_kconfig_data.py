@@ -57,6 +57,12 @@ def test_options_of_removed_and_later_symbols_follow_the_version(data):
     assert rendered(data, "pandaboard-es", "7.1")["HZ_PERIODIC"] == "y"
 
 
+def test_sleep_states_can_be_forbidden_where_there_are_any(data):
+    """/dev/cpu_dma_latency needs CPU_IDLE; on OMAP4 leaving such a state takes a millisecond."""
+    wanted = {machine: rendered(data, machine, "6.6")["CPU_IDLE"] for machine in data.machines}
+    assert wanted == {"pandaboard-es": "n", "qemu-armv7": "n", "arm": "n", "arm64": "y", "x86-64": "y"}
+
+
 def test_version_numbers_compare_as_numbers():
     option = kconfig.KernelOption(symbol="X", value="y", reason="r", source="s", since="6.2")
     assert option.holds_for("6.12") and not option.holds_for("6.1")
@@ -83,7 +89,7 @@ def test_other_architectures_need_a_patch_series_before_6_12_only(data, machine)
 def test_options_of_32_bit_arm_are_not_rendered_for_others(data):
     assert {"NR_CPUS", "CPUFREQ_DT", "CPU_IDLE", "ARM_ERRATA_754322"} <= rendered(data, "pandaboard-es", "6.12").keys()
     for machine in ("arm64", "x86-64"):
-        of_arm = {"NR_CPUS", "CPUFREQ_DT", "CPU_IDLE", "CPU_FREQ_GOV_SCHEDUTIL", "VMSPLIT_3G_OPT"}
+        of_arm = {"NR_CPUS", "CPUFREQ_DT", "CPU_FREQ_GOV_SCHEDUTIL", "VMSPLIT_3G_OPT"}
         assert not of_arm & rendered(data, machine, "6.12").keys()
         assert rendered(data, machine, "6.12")["PREEMPT_RT"] == "y"
 
@@ -186,7 +192,7 @@ def test_a_malformed_option_is_refused_with_its_place(copy, line, message):
 
 def test_a_machine_with_an_unknown_concern_is_refused(copy):
     path = copy / "machines.yml"
-    path.write_text(path.read_text().replace("validation, board]", "validation, bored]"))
+    path.write_text(path.read_text().replace("programs, board]", "programs, bored]"))
     message = (
         r"machines\.yml: machines\.pandaboard-es\.concerns: unknown concern 'bored', did you mean 'board'\? known: arm,"
     )
