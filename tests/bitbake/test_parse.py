@@ -74,6 +74,34 @@ def test_an_image_whose_kernel_gets_no_fragment_is_skipped(make_build, kernel, f
     assert (image["skipped"] or "").startswith(wanted) == skipped
 
 
+@pytest.mark.parametrize("name", ["kirkstone-noetic", "scarthgap-noetic", "wrynose-lyrical"])
+def test_an_image_is_light_by_the_lines_of_kas_yml(make_build, name):
+    """The values are those of openembedded-core, and another beside them that stays."""
+    _, release = load_profile(name)
+    found = {
+        "DISTRO_FEATURES": ("acl x11", "acl"),
+        "EXTRA_IMAGEDEPENDS": ("qemu-system-native qemu-helper-native:do_addto_recipe_sysroot u-boot", "u-boot"),
+        "MACHINE_ESSENTIAL_EXTRA_RDEPENDS": ("v86d other", "other"),
+        "SHAREDMIMEDEP": ("shared-mime-info", "shared-mime-info"),  # of glib alone it is empty
+    }
+    lines = [f'{variable} = "{before}"' for variable, (before, _) in found.items()]
+    lines += [f'{key} = "{value}"' for settings in release.left_out.values() for key, value in settings.items()]
+    build = make_build(name, "qemuarm", local="\n".join(lines) + "\n")
+    variables = build.bitbake(variables=list(found))["recipes"]["rt-tests-image"]["variables"]
+    assert {name: value.strip() for name, value in variables.items()} == {
+        name: left for name, (_, left) in found.items()
+    }
+
+
+@pytest.mark.parametrize("name", ["kirkstone-noetic", "scarthgap-noetic", "wrynose-noetic"])
+def test_an_image_with_ros_1_has_the_master_and_what_it_imports(make_build, name):
+    """No package of ROS names xmlrpc, and nothing needs roslaunch, through which all of Python came."""
+    image = make_build(name, "qemuarm").bitbake(variables=["IMAGE_INSTALL"])["recipes"]["rt-tests-image"]
+    installed = set(image["variables"]["IMAGE_INSTALL"].split())
+    assert {"rosmaster", "catkin", "python3-xmlrpc"} <= installed
+    assert not {"roslaunch", "rosbash", "rosnode", "rostopic"} & installed
+
+
 def test_kernel_of_others_stays_as_it_is(make_build):
     recipe = make_build("scarthgap-noetic", "qemuarm").bitbake(variables=["SRC_URI"])["recipes"]["linux-yocto-rt"]
     assert recipe["variables"]["SRC_URI"].strip() == ""

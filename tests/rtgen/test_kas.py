@@ -11,6 +11,7 @@ import jsonschema
 import pytest
 import yaml
 
+from rtgen.checkout import checkout
 from rtgen.layer import output
 from rtgen.layer.render import render
 from rtgen.profile import load_profile, profile_names
@@ -57,6 +58,32 @@ def test_what_yaml_would_take_for_something_else(tmp_path):
     assert (read["repos"]["bitbake"]["commit"], read["repos"]["bitbake"]["branch"]) == ("1" * 40, "null")
     assert read["repos"]["1.5"]["layers"] == {"on": None}
     assert read["repos"]["meta-rt-tests"]["layers"] == {f"my: own #2/{'long ' * 30}/meta-rt-tests": None}
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_what_is_left_out_has_a_key_of_its_own_that_brings_it_back(tmp_path, name):
+    """Kas takes the last text of a key: an empty one brings back what the key names, as testimage.yml does QEMU."""
+    _, release = load_profile(name)
+    header = yaml.safe_load((rendered(tmp_path, name) / "kas.yml").read_text())["local_conf_header"]
+    lines = {key.removeprefix("rt-tests-without-"): text for key, text in header.items() if "-without-" in key}
+    assert lines == {
+        what: "".join(f'{variable} = "{value}"\n' for variable, value in settings.items())
+        for what, settings in release.left_out.items()
+    }
+    assert ("qemu" in lines) == release.modern
+    readme = (tmp_path / "meta-rt-tests/README.md").read_text()
+    assert all(f"rt-tests-without-{what}: `{text.splitlines()[0]}`" in readme for what, text in lines.items())
+    if release.modern:
+        testimage = yaml.safe_load((tmp_path / "meta-rt-tests/kas/testimage.yml").read_text())
+        assert testimage["local_conf_header"]["rt-tests-without-qemu"] == ""
+
+
+def test_what_is_left_out_is_in_the_docs():
+    """With what brings it back."""
+    text = (checkout() / "docs/layer.md").read_text()
+    for name in profile_names():
+        _, release = load_profile(name)
+        assert [what for what in release.left_out if f"| `{what}` |" not in text] == []
 
 
 def test_settings_of_a_machine_that_is_not_ours():

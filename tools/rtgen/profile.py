@@ -77,6 +77,7 @@ class RosDistro(Config):
     version: Literal[1, 2]
     transports: dict[str, RecipeName] = Field(default={})
     set: dict[str, str] = Field(default={})
+    left_out: dict[str, dict[str, str]] = Field(default={})
 
 
 class Release(Config):
@@ -91,6 +92,7 @@ class Release(Config):
     unpack_folder: str
     ros_distros: dict[str, RosDistro]
     kernels: dict[str, KernelRecipe]
+    left_out: dict[str, dict[str, str]] = Field(default={})
     own_suites: bool
     machines: Strings
     layers: Strings
@@ -100,14 +102,20 @@ class Release(Config):
     own_u_boot: bool
     key_types: Annotated[tuple[KeyType, ...], Field(strict=False, min_length=1)]
 
-    def with_layers_of(self, distro: str) -> Self:
-        """This release with the layers that images with one of its ROS distributions use."""
-        version = self.ros_distros[distro].version
+    def with_ros(self, distro: str) -> Self:
+        """This release with what images with one of its ROS distributions have: layers, and what is left out."""
+        ros = self.ros_distros[distro]
 
         def filled(names: Strings) -> Strings:
-            return tuple(name.format(version=version, distro=distro) for name in names)
+            return tuple(name.format(version=ros.version, distro=distro) for name in names)
 
-        return self.model_copy(update={"layers": filled(self.layers), "layer_depends": filled(self.layer_depends)})
+        return self.model_copy(
+            update={
+                "layers": filled(self.layers),
+                "layer_depends": filled(self.layer_depends),
+                "left_out": self.left_out | ros.left_out,
+            }
+        )
 
 
 class Releases(Config):
@@ -284,7 +292,7 @@ def load_profile(name: str) -> tuple[Profile, Release]:
     release = releases[profile.release]
     if profile.ros_distro not in release.ros_distros:
         raise UsageError(f"{path}: {_unsupported('ros_distro', profile.ros_distro, profile, release.ros_distros)}")
-    release = release.with_layers_of(profile.ros_distro)
+    release = release.with_ros(profile.ros_distro)
     problems = _misfits(profile, release)
     if problems:
         raise UsageError("\n".join(f"{path}: {problem}" for problem in problems))

@@ -11,7 +11,7 @@ IMAGE_FEATURES += "ssh-server-${RT_TESTS_SSH_SERVER}"
 IMAGE_LINGUAS = ""
 
 IMAGE_INSTALL = "packagegroup-core-boot packagegroup-rt-tests openssh-sftp-server ${CORE_IMAGE_EXTRA_INSTALL}"
-IMAGE_INSTALL += "roslaunch rosbash rosnode rostopic htop hwlatdetect rt-tests stress-ng util-linux-chrt util-linux-taskset"
+IMAGE_INSTALL += "rosmaster catkin python3-xmlrpc htop hwlatdetect rt-tests stress-ng util-linux-chrt util-linux-taskset"
 
 # A machine with preempt-rt promises a real-time kernel, which one without our options is not.
 python () {
