@@ -20,6 +20,7 @@ from drawn.hazards import HAZARDS, hazards_of, named_in
 from drawn.machine import Machine
 from drawn.tables import Tables, lower_bound
 from drawn.users import User
+from rows import ROWS
 
 from rtrun.results.reading import read_runs
 
@@ -207,7 +208,8 @@ def page(tmp_path, monkeypatch):
     copy = tmp_path / "coverage.md"
     copy.write_text(machines.PAGE.read_text())
     monkeypatch.setattr(machines, "PAGE", copy)
-    monkeypatch.setattr(simulate, "DOCS", copy)
+    monkeypatch.setattr(simulate, "PAGE", copy)
+    monkeypatch.setattr(simulate, "TABLE", tmp_path / "one-hazard.csv")
     return copy
 
 
@@ -318,9 +320,11 @@ def test_machines_of_one_hazard_or_none_are_not_written(write, page):
 
 def test_each_program_leaves_what_the_other_wrote(write, page):
     machines_alone = write(_lines_of(30))
-    simulate.write(["| a row | of simulate.py |"], 1)
+    row = next(row for row in ROWS if row.at_most == 5)
+    simulate.write([simulate.Drawn(row=row, events=1, draws=100)], 1)
     both = page.read_text()
-    assert "| a row | of simulate.py |" in both
+    assert f"| {row.name} | {row.event} | 1.0 % (0.0 to 5.4) | at most 5 % |" in both
+    assert simulate.TABLE.read_text().splitlines()[1].endswith(",1.0,0.03,5.45,0.0,5.0,100")
     of_machines = both.partition(simulate.BEGIN)[0]
     assert of_machines == machines_alone.partition(simulate.BEGIN)[0]
     assert write(_lines_of(31)).partition(simulate.BEGIN)[2] == both.partition(simulate.BEGIN)[2]
