@@ -74,11 +74,11 @@ def inspect(folder: Path, needs: Needs) -> Host:
     return Host(
         folder=folder.resolve(),
         versions={name: _version(name) if needs.programs[name].version else None for name in existing},
-        locales=frozenset(_output(["locale", "-a"]).split()),
+        locales=frozenset(_run(["locale", "-a"]).stdout.split()),
         free_bytes=shutil.disk_usage(folder).free,
         memory_bytes=os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
         open_files=resource.getrlimit(resource.RLIMIT_NOFILE)[0],
-        user_namespaces=_succeeds(["unshare", "--user", "--net", "--map-current-user", "true"]),
+        user_namespaces=_run(["unshare", "--user", "--net", "--map-current-user", "true"]).returncode == 0,
         root=os.geteuid() == 0,
         proxies={name: os.environ[name] for name in _PROXIES if os.environ.get(name)},
     )
@@ -174,20 +174,13 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def _version(program: str) -> str | None:
-    match = re.search(r"\d+(\.\d+)+", _output([program, "--version"]))
+    match = re.search(r"\d+(\.\d+)+", _run([program, "--version"]).stdout)
     return match[0] if match else None
 
 
-def _output(command: list[str]) -> str:
+def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run a program; one that is missing or takes too long prints nothing and fails."""
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_PROGRAM_TIMEOUT_S)
+        return subprocess.run(command, capture_output=True, text=True, check=False, timeout=_PROGRAM_TIMEOUT_S)
     except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return done.stdout
-
-
-def _succeeds(command: list[str]) -> bool:
-    try:
-        return subprocess.run(command, capture_output=True, check=False, timeout=_PROGRAM_TIMEOUT_S).returncode == 0
-    except (OSError, subprocess.TimeoutExpired):
-        return False
+        return subprocess.CompletedProcess(command, returncode=1, stdout="")

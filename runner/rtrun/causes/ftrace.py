@@ -351,21 +351,9 @@ def _futex(head: _Head, arguments: str) -> Event:
     return Futex(head[0], head[1], head[2], int(match[1], 16) if match else None)
 
 
-def _fault(head: _Head, _: str) -> Event:
-    return Fault(head[0], head[1], head[2])
-
-
-def _console(head: _Head, _: str) -> Event:
-    return Console(head[0], head[1], head[2])
-
-
 def _signal(head: _Head, arguments: str) -> Event | None:
     match = _SIGNAL.match(arguments)
     return match and Signal(head[0], head[1], head[2], int(match[1]), int(match[2]))
-
-
-def _thaw(head: _Head, _: str) -> Event:
-    return Thaw(head[0], head[1], head[2])
 
 
 def _callback(head: _Head, arguments: str) -> Event | None:
@@ -394,10 +382,10 @@ _READERS: dict[str, Callable[[_Head, str], Event | None]] = {
     "hrtimer_expire_entry": _timer_expiry,
     "sys_futex": _futex,
     "sys_futex_time32": _futex,
-    "page_fault_user": _fault,
-    "console": _console,
+    "page_fault_user": lambda head, _: Fault(*head[:3]),
+    "console": lambda head, _: Console(*head[:3]),
     "signal_generate": _signal,
-    "cgroup_unfreeze": _thaw,
+    "cgroup_unfreeze": lambda head, _: Thaw(*head[:3]),
     "cpu_frequency": _frequency,
     **dict.fromkeys(("callback_begin", "callback_end"), _callback),
 }

@@ -64,7 +64,6 @@ class Finished:
 
     lost_events: int
     rests: int
-    reconnections: int
     is_clean: bool
     broken: str = ""
 
@@ -268,7 +267,6 @@ class _Watching:
                 yield Finished(
                     lost_events=lost,
                     rests=rests,
-                    reconnections=max(0, calls - 1),
                     is_clean=reader is not None and reader.is_done,
                     broken=broken,
                 )

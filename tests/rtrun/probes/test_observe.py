@@ -133,7 +133,7 @@ def test_on_a_small_target(here, standin, tmp_path):
 def test_the_end_of_the_time(link, standin):
     with running(standin, 100, 10**6) as process:
         *_, last = observed(link, process.pid, for_s=1.5)
-    assert last == Finished(lost_events=0, rests=0, reconnections=0, is_clean=True)
+    assert last == Finished(lost_events=0, rests=0, is_clean=True)
     assert left() == []
 
 
