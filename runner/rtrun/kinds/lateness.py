@@ -48,4 +48,9 @@ def are_late(values_ns: "Int64s", deadline_ns: int, width_ns: "Int64s | int" = 1
 
 def absent_in_words(number: int, of: Measure | None) -> str:
     """How many have no value: "3 periods skipped"."""
-    return f"{counted(number, 'period')} skipped" if of in _OF_PERIODS else f"{number} never came"
+    return f"{counted(number, 'period')} skipped" if is_of_periods(of) else f"{number} never came"
+
+
+def is_of_periods(of: Measure | None) -> bool:
+    """Whether a missing value is a period that was skipped, rather than something that was lost."""
+    return of in _OF_PERIODS

@@ -12,6 +12,7 @@ from rtrun.judgement.layers import layer_pairs
 from rtrun.judgement.study import Study
 from rtrun.judgement.topologies import MeasuredTopology, measured_topologies
 from rtrun.judgement.verdicts import ENOUGH_BOOTS, amount, boots_in_words, counts_in_words
+from rtrun.kinds.lateness import is_of_periods
 from rtrun.report import causes
 from rtrun.report.layers import LayerBar, stacks
 from rtrun.report.scenarios import Scenario, scenarios
@@ -148,7 +149,7 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
         return f"{causes.answer(culprits)}{f'. {advice}' if advice else ''}"
     open_ = [verdict for one in made if (verdict := one.group.verdict) and verdict.answer is Answer.NEEDS_MORE]
     bad = [verdict for one in made if (verdict := one.group.verdict) and _is_likely_refuted(verdict)]
-    if bad and all(verdict.absent > verdict.late for verdict in bad):
+    if bad and all(verdict.absent > verdict.late and not is_of_periods(verdict.question.of) for verdict in bad):
         return "find out where values are lost: queues and their depth, quality of service, the network, a busy thread"
     if bad:
         return (
