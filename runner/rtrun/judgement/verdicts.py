@@ -193,7 +193,7 @@ def boots_in_words(verdict: Verdict) -> str:
     if verdict.boards > 1:
         return f"for the {verdict.boards} boards together"
     if verdict.boots is None or verdict.unlike_share is None:
-        return "on boots that are not known"
+        return "on boots that were not recorded"
     if verdict.boots == 1:
         return "in this boot"
     return f"on boots like the {verdict.boots} that were measured"

@@ -133,7 +133,7 @@ def _for_which_boots(made: Sequence[Scenario]) -> str:
     """The boots that the proofs apply to: the weakest statement over all scenarios."""
     verdicts = [one.group.verdict for one in made if one.group.verdict]
     if any(verdict.boots is None for verdict in verdicts):
-        return "on boots that are not known"
+        return "on boots that were not recorded"
     return boots_in_words(min(verdicts, key=lambda verdict: verdict.boots or 0))
 
 

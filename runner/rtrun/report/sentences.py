@@ -58,7 +58,7 @@ def lines(study: Study, made: Sequence[Scenario]) -> "Table":
         text = sentence(one)
         if one.group.key in study.members and one.answer == Answer.NEEDS_MORE:
             # All boards together are decided, or say what is missing.
-            text = f"{text.partition(';')[0]}; it counts with the other boards"
+            text = f"{text.partition(';')[0]}; decided for all boards together"
         grid.add_row(printable(study.short_name(one.group)), printable(text.removesuffix(said)))
     return grid
 

@@ -27,7 +27,9 @@ from rtrun.report.tables import Table
 def question(study: Study) -> str:
     """The question that is answered."""
     boots = counted(study.question.boots, "boot")
-    return f"asked: {study.asked_in_full}, on at least {boots}, allowing for {study.question.covered}"
+    covered = study.question.covered
+    bursts = "if misses come singly" if study.question.bursts == 1 else f"even with {covered}"
+    return f"asked: {study.asked_in_full}, on at least {boots}, {bursts}"
 
 
 def table(standings: Sequence[Standing]) -> Table:

@@ -52,7 +52,7 @@ def texts(value: object) -> Iterator[str]:
     [
         (
             {"probability": 1e-2},
-            "The deadline of 400 us is met in the one scenario: at most 1 in 100 late, 95 % sure, on boots that are",
+            "The deadline of 400 us is met in the one scenario: at most 1 in 100 late, 95 % sure, on boots that",
             "measure on 5 boots or more, as boots differ; then keep it so: rtrun gate RESULTS fails",
         ),
         (

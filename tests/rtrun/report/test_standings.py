@@ -62,7 +62,7 @@ def test_what_is_no_number_stands_below_the_table() -> None:
 
 def test_what_a_proof_holds_for_stands_below_the_table() -> None:
     assert list(reasons([standing_of(verdict_of(5000))])) == [
-        "timer RR: holds on boots that are not known, if late values come singly"
+        "timer RR: holds on boots that were not recorded, if late values come singly"
     ]
 
 
