@@ -30,8 +30,8 @@ SAME = {
     "suites": r".+",
     "plan": r".+",
     "probe": r"\S.*?(?=  )",
-    "run": r"P\(.* below .*|next: .*",
-    "verdict": r"P\(.* below .*",
+    "run": r"asked: .*|next: .*",
+    "verdict": r"asked: .*",
 }
 ENDS_WITH_1 = ("check-rt", "gate")  # where the answer is no
 

@@ -58,7 +58,6 @@ def test_quick_sets_up_builds_and_measures(checkout: Path, words: list[str]) -> 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "the following arguments are required: --deadline"),
         (["--deadline", "1"], "'1' is no time above 0 with its unit"),
         (["--deadline", "1ms", "--nights", "3"], "unknown arguments --nights 3"),
     ],

@@ -64,7 +64,7 @@ COMMANDS = [
     ("rtrun verify results", 0, "whole"),
     ("rtrun show results", 0, "oneshot_timer"),
     ("rtrun report results", 0, "report.html"),
-    ("rtrun verdict results", 0, "confidence 0.95"),
+    ("rtrun verdict results --deadline 400us", 0, "95 % sure"),
     ("rtrun why results", 0, "No run kept kernel traces"),
     ("rtrun gate results", 1, "failed"),
     ("rtrun compare results results", 0, "NO DIFFERENCE"),

@@ -63,7 +63,7 @@ def test_one_group_is_proven_and_one_refuted_on_two_boots(campaign, wishes, caps
     # 185 measurements on two boots without a miss prove P < 0.032: two runs of 100.
     assert sorted(call.split()[1] for call in wishes.calls()) == ["1000"] * 2 + ["2000"] * 2
     assert re.search(r"NEEDS MORE  cyclic_timer .*1 of 2 boots; about \d+ s left", out), out
-    end = out.partition("confidence 0.95, on at least 2 boots")[2]
+    end = out.partition(", on at least 2 boots")[2]
     assert " PROVEN " in end and " REFUTED " in end and "NEEDS MORE" not in end
     assert end.endswith("rtrun report results/brakes\n")
     assert answers(capsys) == {"001": "PROVEN", "002": "REFUTED"}
