@@ -40,6 +40,16 @@ class Drawn:
     draws: int
 
     @property
+    def share(self) -> float:
+        """The events in percent of the draws."""
+        return percent(self.events, self.draws)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the share is within the bounds of the row."""
+        return self.row.holds(self.share)
+
+    @property
     def is_bounded(self) -> bool:
         """Whether not every share is allowed."""
         return self.row.at_most < 100 or self.row.at_least > 0
@@ -47,17 +57,25 @@ class Drawn:
     @property
     def used(self) -> float:
         """Which part of what is allowed its share takes; above 1 the row does not hold."""
-        share = percent(self.events, self.draws)
-        least = (100 - share) / (100 - self.row.at_least) if self.row.at_least else 0.0
-        most = share / self.row.at_most if self.row.at_most else math.inf if share else 0.0
+        least = (100 - self.share) / (100 - self.row.at_least) if self.row.at_least else 0.0
+        most = self.share / self.row.at_most if self.row.at_most else math.inf if self.share else 0.0
         return max(least, most if self.row.at_most < 100 else 0.0)
 
     def cells(self) -> tuple[object, ...]:
         """Its cells in the file: percentages, with a 95 % interval."""
         low, high = (round(100 * end, 2) for end in clopper_pearson(self.events, max(1, self.draws), 0.95))
-        share = round(percent(self.events, self.draws), 2)
         row = self.row
-        return (row.name, row.event, row.reported, share, low, high, row.at_least, row.at_most, self.draws)
+        return (
+            row.name,
+            row.event,
+            row.reported,
+            round(self.share, 2),
+            low,
+            high,
+            row.at_least,
+            row.at_most,
+            self.draws,
+        )
 
     def line(self) -> str:
         """Its line on the page."""
@@ -79,7 +97,7 @@ def write(drawn: list[Drawn], minutes: float) -> None:
     made = (
         f"All {len(drawn)} rows, with 95 % intervals: [one-hazard.csv](one-hazard.csv). Seed {SEED} for each row,\n"
         f"confidence 95 %; made in {minutes:.0f} minutes on {os.cpu_count()} cores. "
-        f"{sum(one.used <= 1 for one in bounded)} of the {len(bounded)} rows that have\na bound keep it."
+        f"{sum(one.holds for one in bounded)} of the {len(bounded)} rows that have\na bound keep it."
     )
     nearest = sorted(bounded, key=lambda one: one.used, reverse=True)[:_NEAREST]
     write_rows(PAGE, BEGIN, f"{made}\n\n{HEAD}", [one.line() for one in nearest])
@@ -103,12 +121,10 @@ def main() -> int:
                 ]
         for place, futures in parts.items():
             events, counted = (sum(numbers) for numbers in zip(*(f.result() for f in futures), strict=True))
-            share = percent(events, counted)
-            holds = ROWS[place].holds(share)
-            failed += not holds
-            rows.append(Drawn(row=ROWS[place], events=events, draws=counted))
+            rows.append(drawn := Drawn(row=ROWS[place], events=events, draws=counted))
+            failed += not drawn.holds
             taken = time.monotonic() - start
-            print(f"{'ok    ' if holds else 'FAILED'} {rows[-1].line()} after {taken:.0f} s", flush=True)
+            print(f"{'ok    ' if drawn.holds else 'FAILED'} {drawn.line()} after {taken:.0f} s", flush=True)
     if not args.only and args.draws == 1:
         write(rows, (time.monotonic() - start) / 60)
     return 1 if failed else 0

@@ -1,7 +1,6 @@
 """``rtrun quick``: a first answer without any file, with the tools that a target has."""
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ from rtrun.commands._question import time_argument
 if TYPE_CHECKING:
     from rtrun.judgement.groups import Group
     from rtrun.judgement.study import Study
+    from rtrun.report.contents import Contents
     from rtrun.targets.inspection.rt_readiness import CheckResult
     from rtrun.targets.link import Link
 
@@ -90,13 +90,13 @@ def run(args: argparse.Namespace) -> int:
     if args.deadline:
         asked = Question(deadline_ns=args.deadline, probability=ASKED[0], is_deadline_stated=True)
     examined = study(results, asked)
-    report = results / "report.html"
-    atomic.write_named(report, page.html(examined, contents(examined)).encode("utf-8", "replace"))
+    report, written = results / "report.html", contents(examined)
+    atomic.write_named(report, page.html(examined, written).encode("utf-8", "replace"))
     print_status("")
     if args.json:
-        print_json(_as_data(examined, findings, results) | {"runs": statuses})
+        print_json(_as_data(examined, written, findings, results) | {"runs": statuses})
     else:
-        _print(examined, findings, results, file)
+        _print(examined, written, findings, results, file)
     with beside_the_answer(args.json):
         status = print_failed(statuses)
         if config.kind == "local" and args.policy is None and campaign["common"]["policy"] == NO_REAL_TIME:
@@ -176,25 +176,15 @@ def _can_trace(link: "Link") -> bool:
     return link.run(["sh", "-c", "[ -w /sys/kernel/tracing/instances ]"]).status == 0
 
 
-def _proven(study: "Study") -> "list[tuple[Group, str | None]]":
-    """The groups of a study, each with the reason why no P is proven of it; None: there is one."""
-    proven = []
-    for group in study.groups:
-        verdict, why = group.verdict, group.undecidable
-        if verdict is not None:
-            why = verdict.refused or (f"{verdict.change.what}: {verdict.change.text}" if verdict.change else None)
-        proven.append((group, why))
-    return proven
+def _why_no_p(group: "Group") -> str | None:
+    """Why no P is proven of a group; None: there is one."""
+    verdict = group.verdict
+    if verdict is None:
+        return group.undecidable
+    return verdict.refused or (f"{verdict.change.what}: {verdict.change.text}" if verdict.change else None)
 
 
-def _why_late(study: "Study") -> str | None:
-    from rtrun.report import causes
-
-    ranking, explained, _ = causes.ranked(study.source)
-    return causes.table(ranking, explained).outcome if explained else None
-
-
-def _as_data(study: "Study", findings: "list[CheckResult]", results: Path) -> dict[str, Any]:
+def _as_data(study: "Study", written: "Contents", findings: "list[CheckResult]", results: Path) -> dict[str, Any]:
     """What `_print` prints, as docs/formats.md describes it."""
     from rtrun.judgement.digest import pool_figures
     from rtrun.targets.inspection import rt_readiness
@@ -204,11 +194,11 @@ def _as_data(study: "Study", findings: "list[CheckResult]", results: Path) -> di
             "group": group.label,
             "n": verdict.n if (verdict := group.verdict) else group.n,
             "misses": verdict.misses if verdict else None,
-            "p_below": verdict.upper if verdict and not why else None,
-            "no_p": why,
+            "p_below": None if verdict is None or _why_no_p(group) else verdict.upper,
+            "no_p": _why_no_p(group),
             "worst_ns": verdict.worst_ns if verdict else pool_figures(group.digests).max_ns,
         }
-        for group, why in _proven(study)
+        for group in study.groups
     ]
     return {
         "schema": 1,
@@ -218,28 +208,27 @@ def _as_data(study: "Study", findings: "list[CheckResult]", results: Path) -> di
         "confidence": study.question.confidence,
         "groups": groups,
         "left_out": study.left_out,
-        "why_late": _why_late(study),
+        "why_late": written.why_late,
         "in_the_way": [each.check.name for each in rt_readiness.grave_faults(findings)],
     }
 
 
-def _print(study: "Study", findings: "list[CheckResult]", results: Path, target: Path) -> None:
+def _print(study: "Study", written: "Contents", findings: "list[CheckResult]", results: Path, target: Path) -> None:
     """What was late and how often, how often it may be late, what prevents real time, and how to go on."""
     import shlex
 
     from rtfiles.invocation import as_called
     from rtfiles.output import console, print_line
     from rtfiles.quantities import one_in
-    from rtrun.judgement.study import study as examine
+    from rtrun.judgement.verdicts import answer_to
     from rtrun.report import sentences
-    from rtrun.report.scenarios import scenarios
     from rtrun.report.screen import print_figures
     from rtrun.report.terminal import print_banner
     from rtrun.targets.inspection import rt_readiness
 
     call = as_called("rtrun")
     print_banner(study.platform, study.preempt_rt)
-    made = scenarios(study)
+    made = written.scenarios
     if study.question.has_deadline or not made:
         print_line(sentences.headline(study, made))
         console().print(sentences.lines(study, made))
@@ -249,11 +238,10 @@ def _print(study: "Study", findings: "list[CheckResult]", results: Path, target:
     for text in study.left_out:
         print_line(f"not analysed: {text}")
     for probability in ASKED if made and study.question.has_deadline else ():
-        asked = replace(study.question, probability=probability)
-        answers = [each.answer for each in scenarios(examine(results, asked, bounds=False))]
+        answers = [answer_to(each.group, probability) for each in made]
         print_line(sentences.answers_in_words(answers, one_in(probability)))
-    if why_late := _why_late(study):
-        print_line(f"why it was late: {why_late}")
+    if written.why_late:
+        print_line(f"why it was late: {written.why_late}")
     grave = [each.check.name for each in rt_readiness.grave_faults(findings)]
     folder, file = shlex.quote(str(results)), shlex.quote(str(target))
     explain = f"; {call} check-rt --target {file} says why, and the remedy"

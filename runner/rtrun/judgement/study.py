@@ -77,8 +77,12 @@ class Study:
     def _short_names(self) -> dict[str, str]:
         return short_names(self.answers)
 
+    @functools.cached_property
+    def _has_several_boards(self) -> bool:
+        return len({record.target.name for record in self.records}) > 1
+
     def _on(self, group: Group) -> str:
-        if len({record.target.name for record in self.records}) < 2 or not group.boards:
+        if not self._has_several_boards or not group.boards:
             return ""
         return f", {f'{len(group.boards)} boards' if group.members else group.boards[0]}"
 

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rtfiles.output import counted, listed, printable
 from rtfiles.quantities import duration, grouped, percent, rounded_down, rounded_up, time
 from rtrun.analysis.account import HOURS
-from rtrun.analysis.deadline import Answer, Unlike, Verdict
+from rtrun.analysis.deadline import Answer, Unlike, Verdict, judge
 from rtrun.analysis.order.trends import LEAST_UNITS, Climb
 from rtrun.judgement.boards import spread
 from rtrun.judgement.groups import Group
@@ -209,6 +209,19 @@ def is_short_of_bursts(verdict: Verdict) -> bool:
     """Whether it would be proven if it had to cover only misses that come singly."""
     is_open = verdict.answer is Answer.NEEDS_MORE and verdict.change is None and not verdict.boots_missing
     return is_open and 0 < verdict.longest_burst < verdict.bursts.length
+
+
+def is_likely_refuted(verdict: Verdict) -> bool:
+    """Whether it is refuted, or will be if misses go on at the rate seen."""
+    likely = verdict.further_likely if verdict.change is None else None
+    return verdict.answer is Answer.REFUTED or (likely is not None and likely[0] is Answer.REFUTED)
+
+
+def answer_to(group: Group, probability: float) -> str:
+    """The answer of a group to the same question about another probability; its own where it cannot be judged."""
+    if group.account is None or group.verdict is None:
+        return verdict_line(group).answer
+    return judge(group.account, replace(group.verdict.question, probability=probability)).answer
 
 
 def _covered(verdict: Verdict) -> str:

@@ -11,7 +11,7 @@ from rtrun.causes.ranking import Ranking
 from rtrun.judgement.layers import layer_pairs
 from rtrun.judgement.study import Study
 from rtrun.judgement.topologies import MeasuredTopology, measured_topologies
-from rtrun.judgement.verdicts import ENOUGH_BOOTS, amount, boots_in_words, counts_in_words
+from rtrun.judgement.verdicts import ENOUGH_BOOTS, amount, boots_in_words, counts_in_words, is_likely_refuted
 from rtrun.kinds.lateness import is_of_periods
 from rtrun.report import causes
 from rtrun.report.layers import LayerBar, stacks
@@ -31,8 +31,9 @@ class Contents:
     """A report: the answer, what it is based on, every scenario, then the reference sections.
 
     `worst` is the scenario with the highest value, among those with a deadline if there are any; None: nothing was
-    measured. `missing` is the one with the most values missing, if these are many. `facts` are (what, value). `stacks`
-    are the layers put upon one another, `topologies` the measured graphs.
+    measured. `missing` is the one with the most values missing, if these are many. `why_late` is the main cause of
+    outliers; None: none has a trace. `facts` are (what, value). `stacks` are the layers put upon one another,
+    `topologies` the measured graphs.
     """
 
     title: str
@@ -40,6 +41,7 @@ class Contents:
     answer: str
     worst: Scenario | None
     missing: Scenario | None
+    why_late: str | None
     next_step: str
     question: str
     facts: tuple[tuple[str, str], ...]
@@ -64,6 +66,7 @@ def contents(study: Study) -> Contents:
         answer=_answer(study, deciding),
         worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
         missing=max((one for one in made if one.missing), key=lambda one: one.missing_share, default=None),
+        why_late=causes.answer(found[0]) if found[1] else None,
         next_step=_next_step(deciding, study, found[0]),
         question=_question(study),
         facts=tuple(_facts(study)),
@@ -148,7 +151,7 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
         advice = next(causes.remedies(culprits), "")
         return f"{causes.answer(culprits)}{f'. {advice}' if advice else ''}"
     open_ = [verdict for one in made if (verdict := one.group.verdict) and verdict.answer is Answer.NEEDS_MORE]
-    bad = [verdict for one in made if (verdict := one.group.verdict) and _is_likely_refuted(verdict)]
+    bad = [verdict for one in made if (verdict := one.group.verdict) and is_likely_refuted(verdict)]
     if bad and all(verdict.absent > verdict.late and not is_of_periods(verdict.question.of) for verdict in bad):
         return "find out where values are lost: queues and their depth, quality of service, the network, a busy thread"
     if bad:
@@ -176,11 +179,6 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
     if answers and answers <= {Answer.PROVEN, Answer.IF_INDEPENDENT}:
         return "measure with samples, which show whether late values come in bursts; histograms and logs cannot"
     return f"see {'the scenarios below for what is missing' if made else 'below why it could not be analysed'}"
-
-
-def _is_likely_refuted(verdict: Verdict) -> bool:
-    likely = verdict.further_likely if verdict.change is None else None
-    return verdict.answer is Answer.REFUTED or (likely is not None and likely[0] is Answer.REFUTED)
 
 
 def _further(verdict: Verdict) -> int | None:

@@ -11,6 +11,7 @@ from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import (
     counts_in_words,
     hidden_in_words,
+    is_likely_refuted,
     is_short_of_bursts,
     startup_in_words,
 )
@@ -26,7 +27,7 @@ def headline(study: Study, made: Sequence[Scenario]) -> str:
     """Where the deadline was missed, and on what kind of machine."""
     judged = [one for one in made if one.group.verdict]
     if not judged:
-        return "Nothing was measured that counts." if not made else "Without a deadline nothing is late."
+        return "Nothing was measured that counts."
     missed = sum(bool(one.group.verdict and one.group.verdict.misses) for one in judged)
     tests = counted(len(judged), "test")
     deadline = time(study.deadlines_ns[0]) if len(study.deadlines_ns) == 1 else "A deadline"
@@ -45,7 +46,7 @@ def _where(study: Study) -> str:
 
 
 def lines(study: Study, made: Sequence[Scenario]) -> "Table":
-    """A line for each scenario: its short name, how many values were late, and what follows from that."""
+    """A line for each scenario with a deadline: its short name, how many were late, and what follows from that."""
     from rich.table import Table
 
     grid = Table.grid(padding=(0, 2))
@@ -64,13 +65,10 @@ def lines(study: Study, made: Sequence[Scenario]) -> "Table":
 
 
 def sentence(scenario: Scenario) -> str:
-    """What was measured in a scenario, and what follows from it."""
-    verdict, figures = scenario.group.verdict, scenario.figures
+    """What was measured in a scenario with a deadline, and what follows from it."""
+    verdict = scenario.group.verdict
     if verdict is None:
-        if scenario.group.question:
-            return scenario.group.undecidable or "nothing was measured"
-        values = f"lowest {time(figures.min_ns)}, mean {time(figures.mean_ns)}, highest {time(figures.max_ns)}"
-        return f"{grouped(figures.n)} values: {values}"
+        return scenario.group.undecidable or "nothing was measured"
     return f"{_seen(verdict)}: {'; '.join(_follows(verdict))}"
 
 
@@ -110,7 +108,7 @@ def _open(verdict: Verdict, most: str) -> list[str]:
         what = verdict.change.what.replace(UNSTEADY, "values changed while it was measured")
         return [f"no rate can be given: {what} ({verdict.change.text})"]
     likely = verdict.further_likely
-    if likely is not None and likely[0] is Answer.REFUTED:
+    if likely is not None and is_likely_refuted(verdict):
         return [f"probably too many; {_measuring(verdict, likely[1])} would prove that"]
     parts, prove = [most], "prove it"
     if is_short_of_bursts(verdict):

@@ -1,5 +1,6 @@
 """The answers as `quick` and `report` put them: what was late, and how many may be."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from report.campaigns import latencies, oneshot_run
 
 from rtrun.judgement.study import study
+from rtrun.judgement.verdicts import answer_to
 from rtrun.plan.question import Question
 from rtrun.report.scenarios import scenarios
 from rtrun.report.sentences import answers_in_words, headline, sentence
@@ -74,3 +76,13 @@ def test_the_headline_says_where_the_deadline_was_missed(tmp_path, count, text):
 def test_answers_are_counted_in_words():
     answers = ["PROVEN", "REFUTED", "PROVEN", "NEEDS MORE", "no deadline"]
     assert answers_in_words(answers, "1 in 100") == "At most 1 in 100 late? Not met in 1, met in 2, not known yet in 1."
+
+
+@pytest.mark.parametrize("values", [late(0, 5000), late(8, 12_000), late(900, 3000)])
+@pytest.mark.parametrize("probability", [1e-2, 1e-3, 1e-6])
+def test_another_probability_needs_no_second_look_at_the_files(tmp_path, values, probability):
+    oneshot_run(tmp_path, "a", values)
+    asked = Question(deadline_ns=DEADLINE_NS, probability=1e-2)
+    (group,) = study(tmp_path, asked, bounds=False).groups
+    (anew,) = scenarios(study(tmp_path, replace(asked, probability=probability), bounds=False))
+    assert answer_to(group, probability) == anew.answer
