@@ -32,7 +32,7 @@ from rtrun.analysis.comparison import differences as comparison
 from rtrun.analysis.comparison import layers
 from rtrun.analysis.comparison.differences import ComparisonAnswer, compare, correct
 from rtrun.analysis.comparison.layers import attribute
-from rtrun.analysis.deadline import Answer, Verdict, judge
+from rtrun.analysis.deadline import Answer, Unlike, Verdict, judge
 from rtrun.analysis.dependence.blocks import Blocks, cut
 from rtrun.analysis.dependence.episodes import FoundEpisodes
 from rtrun.analysis.dependence.units import CountedRun
@@ -168,7 +168,19 @@ def wrong_of_unlike_boots(answer: Answer, lengths: Sequence[int], sd: float, rng
 def proven_of_some_bad_boots(number: int, scope: float, rng: Rng) -> bool:
     """PROVEN, and said to speak for all boots but this share."""
     verdict = verdict_on(processes.some_bad_boots(number, 4000, P, rng, one_in=20), one_boot=False)
-    return verdict.answer == Answer.PROVEN and (verdict.unlike_share or 1.0) <= scope
+    return _is_said_to_hold_for_all_but(scope, verdict)
+
+
+def proven_of_short_bad_boots(number: int, share: float, longer: int, rng: Rng) -> bool:
+    """PROVEN, and said to speak for all boots but fewer than the bad ones, which have all misses and end early."""
+    is_bad = rng.random(number) < share
+    runs = [processes.independent(200, P / share, rng) if bad else processes.quiet(longer * 200, rng) for bad in is_bad]
+    return _is_said_to_hold_for_all_but(share, verdict_on(runs, one_boot=False))
+
+
+def _is_said_to_hold_for_all_but(share: float, verdict: Verdict) -> bool:
+    unlike = verdict.unlike_boots
+    return verdict.answer == Answer.PROVEN and unlike is not None and unlike.share <= share
 
 
 def proven_of_fractional_noise(number: int, rng: Rng) -> bool:
@@ -253,16 +265,17 @@ def proven_in_pieces(number: int, n: int, rates: Callable[[int], float], one_boo
     return verdict_on(runs, one_boot=one_boot).answer == Answer.PROVEN
 
 
-def decided(memory: float, answer: Answer, rng: Rng) -> bool:
-    """This answer of AR data at a tenth of P, or at ten times P.
+def decided(memory: float, answer: Answer, boots: int, rng: Rng) -> bool:
+    """This answer of AR data at a tenth of P, or at ten times P, on so many boots.
 
     There are twice as many as of independent data decide 95 times in 100, in effective numbers: an autoregressive
     process of n values is worth n (1 - memory) / (1 + memory).
     """
-    rate, enough = (P / 10, 12_800) if answer is Answer.PROVEN else (10 * P, 3700)
-    n = round(2 * enough * (1 + memory) / (1 - memory))
-    values = processes.autoregressive(n, rate, rng, memory=memory)
-    return judged([trials_of(values, 0, "boot")], replace(QUESTION, bursts=1)).answer == answer
+    of_boots = {1: 12_800, 5: 30_000}
+    rate, enough = (P / 10, of_boots[boots]) if answer is Answer.PROVEN else (10 * P, 3700)
+    n = round(2 * enough * (1 + memory) / (1 - memory)) // boots
+    runs = [processes.autoregressive(n, rate, rng, memory=memory) for _ in range(boots)]
+    return verdict_on(runs, one_boot=boots == 1).answer == answer
 
 
 def proven_of_climbing_boots(step_us: float, rng: Rng) -> bool:
@@ -1004,11 +1017,18 @@ ROWS = [
     *(
         Row(
             name=f"AR({memory:g}) at {rate} P, twice the measurements that as many independent ones need", event=answer,
-            draw=partial(decided, memory, answer), at_least=90.0, quick=40 if memory == 0.5 else 0,
+            draw=partial(decided, memory, answer, 1), at_least=90.0, quick=40 if memory == 0.5 else 0,
             long=400 if memory < 0.9 else 100,
         )
         for memory in (0.5, 0.9, 0.99)
         for answer, rate in ((Answer.PROVEN, "0.1"), (Answer.REFUTED, "10"))
+    ),
+    *(
+        Row(
+            name=f"AR({memory:g}) at 0.1 P on five boots, twice the measurements that as many independent ones need",
+            draw=partial(decided, memory, Answer.PROVEN, 5), at_least=90.0, quick=0, long=400 if memory < 0.99 else 100,
+        )
+        for memory in (0.5, 0.9, 0.99)
     ),
     Row(
         name="independent, P(miss) a tenth of the target, n = 1e4",
@@ -1020,10 +1040,23 @@ ROWS = [
             draw=partial(proven_of_some_bad_boots, number, scope), at_most=100.0 if scope == 1 else 5.0,
             reported={5: "79", 20: "36"}.get(number, "") if scope == 1 else "",
             quick=20 if scope < 1 and number == 20 else 0,
-            remedy=(Verdict, "unlike_share", 0.01) if scope < 1 and number == 20 else None, long=300,
+            remedy=(Verdict, "unlike_boots", Unlike(unit="boot", measured=20, share=0.01))
+            if scope < 1 and number == 20 else None, long=300,
         )
         for number in (5, 20, 72)
         for scope, event in ((1.0, "PROVEN"), (0.05, "PROVEN and said to hold for 95 % of boots"))
+    ),
+    *(
+        Row(
+            name=f"{number} boots, {percent(share, 1):.0f} % are bad and a {part} as long", draw=partial(
+                proven_of_short_bad_boots, number, share, longer
+            ),
+            event="PROVEN and said to hold for boots like these", at_most=5.0,
+            quick=40 if number == 10 and longer == 10 else 0, long=300,
+            remedy=(deadline, "shorter", lambda *_: 0) if number == 10 and longer == 10 else None,
+        )
+        for number, share in ((5, 0.6), (10, 0.35), (20, 0.3))
+        for longer, part in ((10, "tenth"), (100, "hundredth"))
     ),
     *(
         Row(

@@ -17,16 +17,16 @@ from rtrun.analysis.chance.further import (
     missing_without_miss,
     smallest,
 )
-from rtrun.analysis.chance.intervals import anytime_lower, anytime_upper, of_few
+from rtrun.analysis.chance.intervals import anytime_lower, anytime_upper, clopper_pearson, of_few
 from rtrun.analysis.dependence.design_effect import Events, cluster_effect, design_effect, effect_of_few, pool
 from rtrun.analysis.dependence.episodes import Episodes, per_hour
-from rtrun.analysis.dependence.units import Cluster, CountedRun, boots_of, count_alike, sums
+from rtrun.analysis.dependence.units import Cluster, CountedRun, boots_of, count_alike, shorter, sums
 from rtrun.analysis.order.constancy import examine_constancy, find_climbs, join_boots
 from rtrun.analysis.order.startup import LeftOut
 from rtrun.analysis.order.stationarity import SIGNIFICANT, Change
 from rtrun.analysis.order.trends import Climb
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials
-from rtrun.plan.question import NONE_TOLERATED, Bursts, Question, bursts_asked, unlike_share
+from rtrun.plan.question import NONE_TOLERATED, Bursts, Question, bursts_asked
 
 # For these lengths of bursts, a proof says how many more measurements would cover them.
 BURSTS = (20, 50)
@@ -47,12 +47,15 @@ class Answer(StrEnum):
 class Unlike:
     """Units of another kind may exist, though none was among those `measured`: at most this `share` of all units.
 
-    The share holds at the confidence asked for. For hours, it is the part of the day in which nothing was measured.
+    The share holds at the confidence asked for. `short` of those measured were too short beside the others to tell of
+    which kind they are, so they count as of another one. For hours, the share is the part of the day in which nothing
+    was measured.
     """
 
     unit: Literal["run", "boot", "board", "hour"]
     measured: int
     share: float
+    short: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -126,9 +129,9 @@ class Verdict:
         return max(0, self.question.boots - self.boots_known)
 
     @property
-    def unlike_share(self) -> float | None:
-        """The share of boots in `unlike`; None where the boots are not known."""
-        return next((each.share for each in self.unlike if each.unit == "boot"), None)
+    def unlike_boots(self) -> Unlike | None:
+        """The boots in `unlike`; None where the boots are not known."""
+        return next((each for each in self.unlike if each.unit == "boot"), None)
 
     def hours(self, measurements: int) -> float | None:
         """How long so many measurements take; None when the period is not known."""
@@ -259,12 +262,16 @@ def _unlike(account: Account, question: Question) -> tuple[Unlike, ...]:
     """What may differ from everything that was measured: also runs, where there is one boot or boots are not known."""
     if not account.measured:
         return ()
-    units: list[tuple[Literal["run", "boot", "board"], int]] = [("board", account.boards)]
+    short = shorter(account.runs, [run.board for run in account.runs])
+    units: list[tuple[Literal["run", "boot", "board"], int, int]] = [("board", account.boards, short)]
     if account.boots is not None:
-        units.insert(0, ("boot", account.boots))
+        units.insert(0, ("boot", account.boots, shorter(account.runs, boots_of(account.runs))))
     if account.boots is None or account.boots == 1:
-        units.insert(0, ("run", account.measured))
-    found = [Unlike(unit=unit, measured=n, share=unlike_share(n, question.confidence)) for unit, n in units]
+        units.insert(0, ("run", account.measured, 0))
+    found = [
+        Unlike(unit=unit, measured=n, short=short, share=clopper_pearson(short, n, question.confidence)[1])
+        for unit, n, short in units
+    ]
     if account.hours is not None:
         found.append(Unlike(unit="hour", measured=account.hours, share=1 - account.hours / HOURS))
     return tuple(found)

@@ -179,8 +179,12 @@ def _between(verdict: Verdict) -> str:
 
 def scope_in_short(verdict: Verdict) -> str:
     """What a proof holds for, in a few words."""
-    unlike = verdict.unlike_share
-    share = f" (up to {percent(unlike)} of all boots may behave differently)" if unlike and verdict.boots != 1 else ""
+    unlike = verdict.unlike_boots
+    share = (
+        f" (up to {percent(unlike.share)} of all boots may behave differently)"
+        if unlike and unlike.measured > 1
+        else ""
+    )
     if verdict.answer == Answer.IF_INDEPENDENT:
         return f"{boots_in_words(verdict)}{share}, unless late values come in bursts"
     whole = math.floor(verdict.longest_burst)
@@ -192,7 +196,7 @@ def boots_in_words(verdict: Verdict) -> str:
     """Which boots, or boards, a verdict is about."""
     if verdict.boards > 1:
         return f"for the {verdict.boards} boards together"
-    if verdict.boots is None or verdict.unlike_share is None:
+    if verdict.boots is None:
         return "on boots that were not recorded"
     if verdict.boots == 1:
         return "in this boot"
@@ -263,7 +267,15 @@ def _unlike_in_words(unlike: Unlike) -> str:
         return f"measured in {unlike.measured} of the {HOURS} hours of a day" if unlike.measured < HOURS else ""
     if unlike.unit == "boot" or unlike.measured < 2:
         return ""
-    return f"{unlike.unit}s of another kind may be up to {percent(unlike.share)} of all"
+    return _of_another_kind(unlike)
+
+
+def _of_another_kind(unlike: Unlike) -> str:
+    share = f"{unlike.unit}s of another kind may be up to {percent(unlike.share)} of all"
+    if not unlike.short:
+        return share
+    are = "are" if unlike.short > 1 else "is"
+    return f"{share}, since {unlike.short} of the {unlike.measured} {unlike.unit}s {are} too short to show their kind"
 
 
 def _reached_in_words(climb: Climb) -> str:
@@ -287,12 +299,11 @@ def _boots(verdict: Verdict) -> list[str]:
     if verdict.boards > 1:
         few = f"; for boards of this kind measure on {ENOUGH_BOOTS} or more"
         return [f"holds for the {verdict.boards} boards together{few if verdict.boards < ENOUGH_BOOTS else ''}"]
-    if verdict.boots is None or verdict.unlike_share is None:
+    if (unlike := verdict.unlike_boots) is None:
         return ["the boot of some runs is not known: if all are of one boot, it holds for that one"]
     if verdict.boots == 1:
         return [f"holds for the boot that was measured; for the system measure on {ENOUGH_BOOTS} boots or more"]
-    share = f"boots of another kind may be up to {percent(verdict.unlike_share)} of all"
-    return [f"measured on {verdict.boots} boots: {share}"]
+    return [f"measured on {verdict.boots} boots: {_of_another_kind(unlike)}"]
 
 
 def _more(verdict: Verdict) -> list[str]:

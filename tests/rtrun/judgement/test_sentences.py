@@ -87,6 +87,11 @@ ADDED = "for the system measure on 5 boots or more"
             "measured on 5 boots: boots of another kind may be up to 52 % of",
         ),
         (
+            [*trials(5000, boots=5), replace(trials(400)[0], run="5", boot="short")],
+            QUESTION,
+            "measured on 6 boots: boots of another kind may be up to 64 % of all, since 1 of the 6 boots is too",
+        ),
+        (
             trials(4000),
             replace(QUESTION, of="lateness"),
             "0 of 4 000 late; P(lateness > 400 us) at most 0.00092; at most 3 318 episodes of",

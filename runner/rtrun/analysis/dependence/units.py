@@ -46,6 +46,15 @@ def count_alike(runs: Sequence[Trials]) -> list[CountedRun]:
     return counted
 
 
+def shorter(runs: Sequence[Trials], keys: Sequence[str]) -> int:
+    """How many units, given by the key of each run, are shorter than half of the middle one.
+
+    They hardly count beside the others, so if units of another kind end early, the misses of that kind do not, either.
+    """
+    lengths = [n for n, _ in sums([CountedRun(n=run.n, misses=0) for run in runs], keys).values()]
+    return sum(2 * n < median_low(lengths) for n in lengths)
+
+
 def sums(counted: Sequence[CountedRun], keys: Sequence[str]) -> dict[str, Cluster]:
     """Loops and misses of the runs of each key."""
     found: dict[str, Cluster] = {}
