@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from rtfiles.quantities import at_least_in, at_most_in, one_in, rounded_down, rounded_up
+from rtfiles.quantities import at_least_in, at_most_in, between, one_in, percent_at_most, rounded_down, rounded_up
 
 
 @pytest.mark.parametrize(
@@ -55,3 +55,18 @@ def test_no_share_is_rounded_to_the_wrong_side_or_by_more_than_a_third() -> None
         assert least <= share * (1 + 1e-8) and share * (1 - 1e-8) <= most, share
         assert float(rounded_down(share)) <= share * (1 + 1e-8) and share * (1 - 1e-8) <= float(rounded_up(share))
         assert most <= share * 4 / 3 + 1e-15 and least >= share * 2 / 3, share
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [(0.00168, 0.0168, "0.0016 to 0.017"), (0.2, 0.2, "0.2 to 0.2"), (0.0, 0.9999, "0 to 1")],
+)
+def test_an_interval_is_never_narrower_than_it_is(low: float, high: float, said: str) -> None:
+    assert between(low, high) == said
+
+
+@pytest.mark.parametrize(
+    ("share", "said"), [(0.5218, "53 %"), (0.05, "5 %"), (0.0499, "5 %"), (0.0, "0 %"), (0.975, "98 %"), (1.0, "100 %")]
+)
+def test_a_share_that_is_a_bound_is_never_lower_than_it_is(share: float, said: str) -> None:
+    assert percent_at_most(share) == said

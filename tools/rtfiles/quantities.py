@@ -61,6 +61,16 @@ def rounded_down(share: float) -> str:
     return f"{_to_digits(share, 1, math.floor):.2g}" if share else "0"
 
 
+def between(low: float, high: float) -> str:
+    """An interval of shares to two digits, no narrower than it is."""
+    return f"{rounded_down(low)} to {rounded_up(high)}"
+
+
+def percent_at_most(share: float) -> str:
+    """A share as `percent`, no lower than it is."""
+    return percent(min(1.0, _to_digits(share, 1, math.ceil)) if share and 100 * share < 98.5 else share)
+
+
 def _one_digit(share: float, rounded: Callable[[float], int]) -> float:
     return _to_digits(share, 0 if share / 10.0 ** math.floor(math.log10(share)) >= 3 else 1, rounded)
 

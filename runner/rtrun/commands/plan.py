@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rtfiles.quantities import duration, percent
+from rtfiles.quantities import duration, percent_at_most
 from rtrun.commands._arguments import add_campaign, add_json, shipped_campaigns
 from rtrun.commands._question import probability_argument
 
@@ -237,7 +237,7 @@ def _goal_lines(
         f"until P({asked.miss}) is proven or refuted to be below {goal.probability:g}, "
         f"confidence {goal.confidence:g}, in at most {duration(at_most_s)}: each round repeats these runs"
     )
-    share = percent(unlike_share(goal.boots, goal.confidence))
+    share = percent_at_most(unlike_share(goal.boots, goal.confidence))
     yield (
         f"on {counted(goal.boots, 'boot')}: boots of another kind may be up to {share} of all; "
         f"a proof covers {goal.question.covered}{_default_in_words(goal, runs)}"

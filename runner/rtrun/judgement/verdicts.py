@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rtfiles.output import counted, listed, printable
-from rtfiles.quantities import duration, grouped, percent, rounded_down, rounded_up, time
+from rtfiles.quantities import between, duration, grouped, percent, percent_at_most, rounded_down, rounded_up, time
 from rtrun.analysis.account import HOURS
 from rtrun.analysis.deadline import Answer, Unlike, Verdict, judge
 from rtrun.analysis.order.trends import LEAST_UNITS, Climb
@@ -155,7 +155,9 @@ def _episodes(verdict: Verdict) -> str:
     if found.per_hour_at_most is None:
         return f"episodes of {what}: {seen}"
     most = found.per_hour_at_most
-    return f"at most {grouped(most) if most >= 100 else f'{most:.2g}'} episodes of {what} an hour ({seen})"
+    return (
+        f"at most {grouped(math.ceil(most)) if most >= 100 else rounded_up(most)} episodes of {what} an hour ({seen})"
+    )
 
 
 def bound_text(verdict: Verdict | None) -> str:
@@ -173,15 +175,15 @@ def _has_no_rate(verdict: Verdict) -> bool:
 
 def _between(verdict: Verdict) -> str:
     if verdict.lower == 0:
-        return f"at most {verdict.upper:.2g}"
-    return f"{verdict.lower:.2g} to {verdict.upper:.2g}"
+        return f"at most {rounded_up(verdict.upper)}"
+    return between(verdict.lower, verdict.upper)
 
 
 def scope_in_short(verdict: Verdict) -> str:
     """What a proof holds for, in a few words."""
     unlike = verdict.unlike_boots
     share = (
-        f" (up to {percent(unlike.share)} of all boots may behave differently)"
+        f" (up to {percent_at_most(unlike.share)} of all boots may behave differently)"
         if unlike and unlike.measured > 1
         else ""
     )
@@ -271,7 +273,7 @@ def _unlike_in_words(unlike: Unlike) -> str:
 
 
 def _of_another_kind(unlike: Unlike) -> str:
-    share = f"{unlike.unit}s of another kind may be up to {percent(unlike.share)} of all"
+    share = f"{unlike.unit}s of another kind may be up to {percent_at_most(unlike.share)} of all"
     if not unlike.short:
         return share
     are = "are" if unlike.short > 1 else "is"

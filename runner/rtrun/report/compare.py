@@ -3,7 +3,7 @@
 import json
 import math
 
-from rtfiles.quantities import percent, signed, time
+from rtfiles.quantities import between, percent, rounded_down, rounded_up, signed, time
 from rtrun.analysis.comparison.differences import Comparison, ComparisonAnswer, Ratio, Shift
 from rtrun.judgement.compare import Compared
 from rtrun.report.quantities import as_data
@@ -68,11 +68,11 @@ def _ratio(ratio: Ratio | None, confidence: float) -> str:
         return "no miss on either side: nothing can be said of a change"
     interval = f"{100 * confidence:g} % CI"
     if math.isinf(ratio.value):
-        return f"misses in B only: times {ratio.low:.2g} at least ({interval})"
+        return f"misses in B only: times {rounded_down(ratio.low)} at least ({interval})"
     if not ratio.value:
-        return f"misses in A only: times {ratio.high:.2g} at most ({interval})"
-    high = f" to {ratio.high:.2g}" if math.isfinite(ratio.high) else " at least"
-    return f"times {ratio.value:.2g}, {interval} {ratio.low:.2g}{high}"
+        return f"misses in A only: times {rounded_up(ratio.high)} at most ({interval})"
+    ends = between(ratio.low, ratio.high) if math.isfinite(ratio.high) else f"{rounded_down(ratio.low)} at least"
+    return f"times {ratio.value:.2g}, {interval} {ends}"
 
 
 def as_json(compared: Compared) -> str:

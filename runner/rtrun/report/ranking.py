@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rtfiles.output import counted
-from rtfiles.quantities import grouped, time
+from rtfiles.quantities import grouped, rounded_up, time
 from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.figures import Figures
 from rtrun.judgement.digest import pool_figures
@@ -79,6 +79,6 @@ def _row(place: int, one: _Ranked) -> tuple[str, ...]:
         middleware_of(one.group.suite, one.group.parameters),
         one.answer,
         f"{grouped(one.verdict.misses)} of {grouped(one.verdict.n)}",
-        f"{one.verdict.upper:.2g}",
+        rounded_up(one.verdict.upper),
         *(time(times[name]) for name in ("max", "p99.99", "p99", "p50")),
     )

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from rtfiles.output import counted, printable
-from rtfiles.quantities import duration, grouped
+from rtfiles.quantities import between, duration, grouped, rounded_up
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.order.stationarity import Change
 from rtrun.analysis.standing import Standing
@@ -101,7 +101,7 @@ def _changed(change: Change) -> str:
 
 def _bound(verdict: Verdict) -> str:
     """The interval of P(miss)."""
-    return f"<= {verdict.upper:.2g}" if verdict.lower == 0 else f"{verdict.lower:.2g} to {verdict.upper:.2g}"
+    return f"<= {rounded_up(verdict.upper)}" if verdict.lower == 0 else between(verdict.lower, verdict.upper)
 
 
 def missing(standing: Standing) -> str:
