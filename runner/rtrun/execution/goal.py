@@ -227,10 +227,7 @@ def runs_left(group: Run, standing: Standing | None, measurements: int, boot_rou
         return 0
     if standing is None or verdict is None or not verdict.n:
         return None if group.subject.makes_streams else rounds_for(group, measurements)
-    if verdict.change is not None:
+    if verdict.change is not None or verdict.decided_after is None:
         return None
-    likely = verdict.further_likely[1] if verdict.further_likely else None
-    further = likely if verdict.misses else verdict.further
-    if further is None:
-        return None
+    _, further = verdict.decided_after
     return max(verdict.boots_missing * boot_rounds, math.ceil(further * len(standing.runs) / verdict.n))

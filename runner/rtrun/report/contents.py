@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rtfiles.output import counted, printable
 from rtfiles.quantities import duration, grouped, time
-from rtrun.analysis.deadline import Answer, Verdict
+from rtrun.analysis.deadline import Answer
 from rtrun.causes.ranking import Ranking
 from rtrun.judgement.layers import layer_pairs
 from rtrun.judgement.study import Study
@@ -161,7 +161,7 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
         )
     if any(verdict.change for verdict in open_):
         return MEASURE_AGAIN
-    wanted = [(count, verdict) for verdict in open_ if (count := _further(verdict))]
+    wanted = [(decided[1], verdict) for verdict in open_ if (decided := verdict.decided_after) and decided[1]]
     if wanted:
         count, verdict = max(wanted, key=lambda each: each[0])
         decides = "are likely to decide it" if verdict.misses else "without a late one decide it"
@@ -179,11 +179,6 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
     if answers and answers <= {Answer.PROVEN, Answer.IF_INDEPENDENT}:
         return "measure with samples, which show whether late values come in bursts; histograms and logs cannot"
     return f"see {'the scenarios below for what is missing' if made else 'below why it could not be analysed'}"
-
-
-def _further(verdict: Verdict) -> int | None:
-    """How many more measurements are likely to decide it, if misses go on at the rate seen."""
-    return verdict.further_likely[1] if verdict.misses and verdict.further_likely else verdict.further
 
 
 def _facts(study: Study) -> list[tuple[str, str]]:

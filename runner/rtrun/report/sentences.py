@@ -11,7 +11,6 @@ from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import (
     counts_in_words,
     hidden_in_words,
-    is_likely_refuted,
     is_short_of_bursts,
     startup_in_words,
 )
@@ -107,9 +106,9 @@ def _open(verdict: Verdict, most: str) -> list[str]:
     if verdict.change is not None:
         what = verdict.change.what.replace(UNSTEADY, "values changed while it was measured")
         return [f"no rate can be given: {what} ({verdict.change.text})"]
-    likely = verdict.further_likely
-    if likely is not None and is_likely_refuted(verdict):
-        return [f"probably too many; {_measuring(verdict, likely[1])} would prove that"]
+    decided = verdict.decided_after
+    if decided is not None and decided[0] is Answer.REFUTED:
+        return [f"probably too many; {_measuring(verdict, decided[1])} would prove that"]
     parts, prove = [most], "prove it"
     if is_short_of_bursts(verdict):
         longest = int(verdict.longest_burst)
@@ -117,12 +116,11 @@ def _open(verdict: Verdict, most: str) -> list[str]:
         prove = f"prove it for {verdict.bursts.length} in a row"
     if verdict.boots_missing:
         parts.append(f"{counted(verdict.boots_missing, 'more boot')} missing")
-    if not verdict.misses and verdict.further:
-        parts.append(f"{_measuring(verdict, verdict.further)} without a late one {prove}")
-    elif likely is None:
+    if decided is None:
         parts.append("at this rate, no number of measurements is likely to decide it")
-    elif likely[1]:
-        parts.append(f"{_measuring(verdict, likely[1])} probably {prove}")
+    elif decided[1]:
+        how = "probably" if verdict.misses else "without a late one"
+        parts.append(f"{_measuring(verdict, decided[1])} {how} {prove}")
     return parts
 
 

@@ -120,15 +120,16 @@ def missing(standing: Standing) -> str:
     parts = [counted(verdict.boots_missing, "more boot")] if verdict.boots_missing else []
     if is_short_of_bursts(verdict):
         parts.append(f"for {held_for(verdict)} it already holds")
-    if not verdict.misses and verdict.further:
+    if verdict.decided_after is None:
+        parts.append("at the rate seen, no number is likely to decide it")
+        return "; ".join(parts)
+    answer, further = verdict.decided_after
+    if further and verdict.misses:
+        parts.append(f"{amount(verdict, further, 'more')} at the rate seen, then {answer}")
+    elif further:
         percents = f"{100 * verdict.further_chance:.0f} %"
         chance = f" (chance that none comes: {percents})" if verdict.further_chance < 0.995 else ""
-        parts.append(f"{amount(verdict, verdict.further, 'more')} without a miss{chance}")
-    elif verdict.further_likely is None:
-        parts.append("at the rate seen, no number is likely to decide it")
-    elif verdict.further_likely[1]:
-        answer, further = verdict.further_likely
-        parts.append(f"{amount(verdict, further, 'more')} at the rate seen, then {answer}")
+        parts.append(f"{amount(verdict, further, 'more')} without a miss{chance}")
     return "; ".join(parts)
 
 

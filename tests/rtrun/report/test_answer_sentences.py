@@ -61,6 +61,11 @@ def test_a_sentence_says_what_was_late_and_how_many_may_be(tmp_path, values, ask
     assert text in said(tmp_path, values, **asked)[1]
 
 
+def test_where_only_boots_are_missing_nothing_is_said_of_more_measurements(tmp_path):
+    text = said(tmp_path, late(0, 5000), probability=1e-2, boots=3)[1]
+    assert text.endswith("2 more boots missing")
+
+
 def test_what_changed_prevents_a_rate(tmp_path):
     values = late(0, 20_000)
     values[:40:2] = 5 * DEADLINE_NS

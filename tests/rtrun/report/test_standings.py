@@ -16,15 +16,16 @@ from rtrun.execution.goal import Progress
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.goal import Goal
 from rtrun.plan.question import Question
-from rtrun.report.standings import progress_line, reasons, table
+from rtrun.report.standings import missing, progress_line, reasons, table
 
+QUESTION = Question(probability=1e-3, bursts=1)
 GOAL = Goal(deadline="400us", probability="1e-3", at_most="1h")
 (RUN,) = plan(Campaign(schema=1, name="test", runs=[{"suite": "cyclic_timer_tests"}]), "test")
 
 
 def verdict_of(n: int) -> Verdict:
     trials = count_misses(np.full(n, 90_000), 400_000)
-    return judge(Account([trials]), Question(probability=1e-3, bursts=1))
+    return judge(Account([trials]), QUESTION)
 
 
 def standing_of(verdict: Verdict, label: str = "timer RR") -> Standing:
@@ -47,6 +48,11 @@ def test_a_line_says_how_far_a_group_is() -> None:
 
 def test_a_line_says_what_changed() -> None:
     assert line_of(CHANGED, None).endswith("; no answer: it did not stay the same: late values lie at the end")
+
+
+def test_where_only_boots_are_missing_nothing_is_said_of_more_measurements() -> None:
+    lacks_boots = judge(Account([count_misses(np.full(9000, 90_000), 400_000)]), replace(QUESTION, boots=3))
+    assert missing(standing_of(lacks_boots)) == "2 more boots"
 
 
 def test_what_is_no_number_stands_below_the_table() -> None:
