@@ -20,9 +20,9 @@ import pyarrow.parquet
 from rtfiles.errors import UsageError
 from rtrun.analysis.histogram import from_samples
 from rtrun.archive.files import ROW_GROUP
-from rtrun.judgement.groups import format_parameters
 from rtrun.kinds.limits import BINS_MAX
 from rtrun.plan.observation import stream_words
+from rtrun.plan.short_names import format_parameters
 from rtrun.plan.suites import telling_parameters
 from rtrun.results.record import FILE, RunRecord, moment
 from rtrun.results.series import HistogramSeries, SampleSeries, Series

@@ -16,11 +16,11 @@ from rtrun.kinds.known import MAIN_ONLY_IN_2014
 from rtrun.kinds.lateness import Measure
 from rtrun.plan.observation import stream_words
 from rtrun.plan.question import Question
-from rtrun.plan.suites import NOT_TELLING, Value, measures, options, telling_parameters
+from rtrun.plan.short_names import format_parameters, tell_apart
+from rtrun.plan.suites import Value, measures, telling_parameters
 from rtrun.results.record import RunRecord
 from rtrun.targets.inspection.platform import Platform
 
-_UNITS = {"timeout_us": " us", "frequency_hz": " Hz", "payload_bytes": " B", "subscribers": " sub", "priority": " prio"}
 # Boards that agree in these facts of run.json, and in platform and clock step, are alike.
 _ENVIRONMENT = (
     "machine",
@@ -32,8 +32,6 @@ _ENVIRONMENT = (
     "governor",
     "middleware_version",
 )
-# Always named, default or not.
-_TELLING = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscribers")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,19 +126,8 @@ class Group:
 
 def short_names(groups: Sequence[Group]) -> dict[str, str]:
     """What tells each group from its neighbours, by its key: what it measures, and the parameters that differ."""
-    alike: dict[str, list[dict[str, Value]]] = {}
-    for group in groups:
-        alike.setdefault(group.words[0], []).append(group.words[1])
-    differ = {
-        what: {key for each in all_of for key in each if len({str(one.get(key)) for one in all_of}) > 1}
-        for what, all_of in alike.items()
-    }
-    names = {}
-    for group in groups:
-        what, parameters = group.words
-        words = format_parameters({key: value for key, value in parameters.items() if key in differ[what]})
-        names[group.key] = f"{what} {words}".strip()
-    return names
+    names = tell_apart([group.words for group in groups])
+    return {group.key: name for group, name in zip(groups, names, strict=True)}
 
 
 def key_of(target: str, one: JudgedDigest) -> str:
@@ -153,23 +140,6 @@ def scenario(one: JudgedDigest) -> list[Any]:
     header, deadline_ns = one.header, one.question and one.question.deadline_ns
     telling = sorted(telling_parameters(header.parameters).items())
     return [header.suite, header.series, deadline_ns, one.histogram.bin_ns, telling]
-
-
-def format_parameters(parameters: dict[str, Value]) -> str:
-    """Parameters in a few words: policy first, then those that are not the default; units follow the number."""
-    words: list[str] = []
-    known = options()
-    for key, value in parameters.items():
-        if key in NOT_TELLING or value is None or value == "":
-            continue
-        option = known.get(key)
-        if key not in _TELLING and option is not None and value == option.default:
-            continue
-        if key == "policy":
-            words.insert(0, "OTHER" if value == "0" else str(value))
-        else:
-            words.append(f"{value}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
-    return " ".join(words)
 
 
 def slowest(alike: Sequence[JudgedDigest]) -> list[JudgedDigest]:

@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from rtrun.judgement.groups import format_parameters
 from rtrun.judgement.study import Study
 from rtrun.kinds.path import STREAM as PATH
 from rtrun.plan.observation import StreamDeadline
+from rtrun.plan.short_names import format_parameters
 from rtrun.plan.suites import telling_parameters
 from rtrun.plan.topology.planning import SUITE, own_deadlines
 from rtrun.results.record import RunRecord, RunStatus

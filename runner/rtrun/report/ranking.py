@@ -8,9 +8,10 @@ from rtfiles.quantities import grouped, rounded_up, time
 from rtrun.analysis.deadline import Verdict
 from rtrun.analysis.figures import Figures
 from rtrun.judgement.digest import pool_figures
-from rtrun.judgement.groups import Group, format_parameters
+from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import severity, verdict_line
+from rtrun.plan.short_names import format_parameters
 from rtrun.plan.suites import middleware_of
 from rtrun.report.quantities import times_ns
 from rtrun.report.tables import Table

@@ -12,9 +12,10 @@ from rtrun.analysis.comparison.effects import Effect, examine_effect, holm
 from rtrun.analysis.comparison.layers import figure_of
 from rtrun.analysis.dependence.blocks import Blocks
 from rtrun.analysis.dependence.interleaving import is_interleaved
-from rtrun.judgement.groups import Group, format_parameters
+from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.kinds.kind import MeasurementKind
+from rtrun.plan.short_names import format_parameters
 from rtrun.plan.suites import is_real_time, kind_of
 
 # Fewer runs a side do not show how much runs differ anyway.

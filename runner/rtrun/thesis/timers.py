@@ -7,10 +7,11 @@ from rtrun.analysis.account import Account
 from rtrun.analysis.chance.intervals import clopper_pearson
 from rtrun.analysis.deadline import judge
 from rtrun.judgement.digest import Digest
-from rtrun.judgement.groups import Group, format_parameters
+from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.kinds import cyclic, oneshot
 from rtrun.plan.question import NONE_TOLERATED, Question
+from rtrun.plan.short_names import format_parameters
 from rtrun.plan.suites import is_real_time
 from rtrun.thesis.examination import (
     NEVER_BELOW,
