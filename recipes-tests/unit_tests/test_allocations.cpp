@@ -189,10 +189,11 @@ TEST(Allocations, NoneInTheLoopOfNodes) {
 
 TEST(Allocations, NoneInTheWriterOfBlocks) {
   char folder[] = "/tmp/rt_tests_XXXXXX";
-  const std::string npy = mkdtemp(folder) + std::string("/a.npy");
-  const std::string part = npy + ".part";
+  const std::string output = mkdtemp(folder) + std::string("/a");
+  const std::string part = output + ".npy.part";
   cyclic::Samples samples(200);
-  rt_tests::Blocks blocks(npy, samples, INT64_C(1000000000), rt_tests::current_cpus(), 1);
+  const auto value_of = [](const cyclic::Samples& of, std::size_t row) { return cyclic::lateness_of(of, row, 100); };
+  rt_tests::Blocks blocks(output, samples, INT64_C(1000000000), rt_tests::current_cpus(), value_of, 1);
   struct stat state {};
   EXPECT_EQ(allocations_in([&] {
               for (int64_t i = 0; i < 200; ++i) {
@@ -207,6 +208,8 @@ TEST(Allocations, NoneInTheWriterOfBlocks) {
             }),
             0);
   EXPECT_GT(state.st_size, 200 * 24);  // it did write meanwhile
+  EXPECT_EQ(stat((output + ".live").c_str(), &state), 0);
+  EXPECT_GT(state.st_size, 0);
   blocks.discard();
   rmdir(folder);
 }

@@ -41,17 +41,19 @@ class MeasurementSession {
   Surroundings surroundings;
 
   // `output` is the name of the output without prefix and ending, `rows` the number of samples, and `period_ns` the
-  // time from one to the next. Throws UsageError or Failure if the measurement cannot be made.
+  // time from one to the next. `value_of(samples, row)` is the value of a row, for the figures so far. Throws UsageError
+  // or Failure if the measurement cannot be made.
+  template <class ValueOf>
   MeasurementSession(const Program& program, const Options& options, const std::string& output, int64_t rows,
-                     int64_t period_ns)
+                     int64_t period_ns, ValueOf value_of)
       : options_(options),
         destination_(destination(options, output)),
         process_(options),
         cpu_dma_latency_(options),
         outliers(options, program.name, destination_.path(""), process_.spare_cpus()),
         samples(available_rows(rows)),
-        blocks_(destination_.path(".npy"), samples, rows * std::max(period_ns, shortest_period_ns),
-                process_.spare_cpus()),
+        blocks_(destination_.path(""), samples, rows * std::max(period_ns, shortest_period_ns),
+                process_.spare_cpus(), value_of),
         report(program, options),
         surroundings(clock_of(options.text("clock"))) {
     report.asked = options.number("repetitions");

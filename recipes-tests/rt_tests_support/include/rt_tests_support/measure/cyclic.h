@@ -51,7 +51,10 @@ int run(int argc, char* argv[]) {
       rt_tests::described("cyclic_timer_tests", Middleware::name, "Measures the jitter of the ROS cyclic timer.");
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   Session session(program, options, output(options), options.number("repetitions") + 1,
-                  grid_ns(1, options.number("frequency_hz")));
+                  grid_ns(1, options.number("frequency_hz")),
+                  [frequency_hz = options.number("frequency_hz")](const Samples& samples, std::size_t row) {
+                    return lateness_of(samples, row, frequency_hz);
+                  });
   session.set_policy();
   typename Middleware::Context context(argc, argv, program, options);
   rt_tests::add_facts(session.surroundings.facts, context);

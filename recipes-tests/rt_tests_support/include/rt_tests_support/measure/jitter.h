@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <optional>
 
 #include "rt_tests_support/clock.h"
 #include "rt_tests_support/samples.h"
@@ -35,12 +36,17 @@ constexpr int64_t lateness_ns(int64_t previous_expected_ns, int64_t expected_ns,
   return real_ns - expected_ns + (passed_ns > period_ns ? passed_ns % period_ns : 0);
 }
 
+// How late the call of a row is; none of the first.
+inline std::optional<int64_t> lateness_of(const Samples& samples, std::size_t row, int64_t frequency_hz) {
+  if (row == 0) return std::nullopt;
+  const auto& [timestamp_ns, expected_ns, real_ns] = samples[row];
+  return lateness_ns(samples[row - 1][1], expected_ns, real_ns, grid_ns(1, frequency_hz));
+}
+
 // How late the calls are, for the same i as above. Skipped periods are counted beside it.
 inline void analyse_lateness(const Samples& samples, int64_t frequency_hz, rt_tests::Series& lateness) {
   for (std::size_t i = 1; i < samples.size(); ++i) {
-    const auto& [timestamp_ns, expected_ns, real_ns] = samples[i];
-    lateness.add(lateness_ns(samples[i - 1][1], expected_ns, real_ns, grid_ns(1, frequency_hz)),
-                 static_cast<int64_t>(i) - 1);
+    lateness.add(*lateness_of(samples, i, frequency_hz), static_cast<int64_t>(i) - 1);
   }
 }
 

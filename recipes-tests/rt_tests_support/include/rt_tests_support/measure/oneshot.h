@@ -103,7 +103,7 @@ int run(int argc, char* argv[]) {
       "oneshot_timer_tests", Middleware::name, "Measures the latency of the ROS one-shot timer.");
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   Session session(program, options, output(options), options.number("repetitions"),
-                  options.number("timeout_us") * rt_tests::ns_per_us);
+                  options.number("timeout_us") * rt_tests::ns_per_us, latency_of);
   session.set_policy();
   typename Middleware::Context context(argc, argv, program, options);
   rt_tests::add_facts(session.surroundings.facts, context);

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,6 +13,11 @@ namespace communication {
 
 constexpr std::size_t columns = 3;  // publication, reception, seq
 using Samples = rt_tests::Samples<columns>;
+
+// The latency of the message of a row.
+inline std::optional<int64_t> latency_of(const Samples& samples, std::size_t row) {
+  return samples[row][1] - samples[row][0];
+}
 
 class Receptions {
  public:

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cstdint>
 #include <limits>
+#include <optional>
 
 #include "rt_tests_support/clock.h"
 #include "rt_tests_support/samples.h"
@@ -97,6 +98,12 @@ class ShotBox {
 // the 2014 programs was: roscpp computes the expiry in between. `measured` is end - timeout - start.
 constexpr std::size_t columns = 5;
 using Samples = rt_tests::Samples<columns>;
+
+// The latency of the shot of a row; none of one that did not fire.
+inline std::optional<int64_t> latency_of(const Samples& samples, std::size_t row) {
+  const auto& [start_ns, end_ns, measured_ns, reported_ns, armed_ns] = samples[row];
+  return end_ns == did_not_fire ? std::nullopt : std::optional<int64_t>(measured_ns);
+}
 
 // Fills the samples, for each shot one row. Allocates nothing.
 //   trigger()  arms the timer

@@ -67,7 +67,7 @@ int run_subscriber(int argc, char* argv[]) {
   const rt_tests::Options options = rt_tests::parse(program, argc, argv);
   require_payload(options, Middleware::name, Middleware::payload_bytes_max);
   Session session(program, options, output(options), options.number("repetitions"),
-                  rt_tests::ns_per_s / options.number("frequency_hz"));
+                  rt_tests::ns_per_s / options.number("frequency_hz"), latency_of);
   Receptions receptions(session.samples);
   session.set_policy();
   typename Middleware::Context context(argc, argv, program, options);
