@@ -5,13 +5,18 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from rtrun.plan.run import Run
+from rtrun.results.figures_so_far import FiguresSoFar
 
 
 class Watching:
     """Keeps what it was told; `at_start` is called with the number of each run that begins."""
 
-    def __init__(self, at_start: Callable[[int], object] = lambda number: None) -> None:
-        self.at_start = at_start
+    def __init__(
+        self,
+        at_start: Callable[[int], object] = lambda number: None,
+        on_figures: Callable[[FiguresSoFar], None] | None = None,
+    ) -> None:
+        self.at_start, self.on_figures = at_start, on_figures
         self.ends: list[tuple[str, str | None]] = []
         self.notes: list[str] = []
 

@@ -82,6 +82,8 @@ class Clock:
     def note(self, text):
         print(text)
 
+    on_figures = None
+
     def in_commands(self, seconds: float) -> str:
         """A time in empty commands."""
         return f"{seconds:.2f} s, {self.ratio(seconds):.0f} empty commands of {1000 * self.empty_s():.1f} ms"

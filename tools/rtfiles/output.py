@@ -30,6 +30,11 @@ def printable(text: str) -> str:
     return "".join(character if character.isprintable() or character == "\t" else "?" for character in text)
 
 
+def shortened(text: str, width: int) -> str:
+    """The beginning of a text that is wider, with dots where it is cut."""
+    return text if len(text) <= width else f"{text[: max(0, width - 3)]}..."
+
+
 def counted(number: int, noun: str) -> str:
     """A number and its noun, with an s unless the number is 1."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
@@ -102,9 +107,14 @@ def noting_duration(what: str) -> Iterator[None]:
     print_note(f"{what}: {time.monotonic() - start:.0f} s")
 
 
+def shows_status() -> bool:
+    """Whether `print_status` shows anything: on a terminal, except within `quietly`."""
+    return sys.stderr.isatty() and not _quiet
+
+
 def print_status(text: str) -> None:
     """Show a line that the next one overwrites, only on a terminal; an empty text removes the line."""
-    if sys.stderr.isatty() and not _quiet:
+    if shows_status():
         print(f"\r\x1b[K{printable(text)}", end="", file=sys.stderr, flush=True)
 
 

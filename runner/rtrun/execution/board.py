@@ -11,9 +11,11 @@ from typing import Protocol
 from rtfiles.errors import UsageError
 from rtrun.execution import preparation, resumption, run_execution
 from rtrun.execution.allotment import Round
+from rtrun.execution.observation import Onlooker
 from rtrun.execution.trace_threshold import with_threshold_of_warm_up
 from rtrun.plan.campaign import Variant
 from rtrun.plan.run import KernelName, Run
+from rtrun.results.figures_so_far import FiguresSoFar
 from rtrun.results.journal import Journal
 from rtrun.results.record import RunStatus, is_finished, read_record
 from rtrun.results.run_state import RunEvent, RunLife, RunState
@@ -42,6 +44,10 @@ class Observer(Protocol):
     def began(self, number: int, run: Run) -> None: ...
     def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None: ...
     def note(self, text: str) -> None: ...
+
+    @property
+    def on_figures(self) -> Callable[[FiguresSoFar], None] | None:
+        """Shows what the run has measured so far; None: nobody sees that, and the target is not asked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,7 +168,15 @@ def _measure(
                 return RunStatus.INCOMPLETE, lacks
             with tracing(ready.link, ready.scripts, run.parameters, prepared.may_run_go_on):
                 record = run_execution.measure(
-                    ready, session.log.uid, session.campaign, run, folder, life, session.now, may_be_begun=may_be_begun
+                    ready,
+                    session.log.uid,
+                    session.campaign,
+                    run,
+                    folder,
+                    life,
+                    session.now,
+                    may_be_begun=may_be_begun,
+                    onlooker=Onlooker(on_figures=observer.on_figures),
                 )
             return record.status, record.reason
         except TargetRebooted as error:

@@ -3,29 +3,49 @@
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Column
 
 from rtfiles.output import print_line, print_note, printable
+from rtrun.execution.progress import ShowFigures, in_words
 from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus
+
+
+class _Row:
+    """The row of a board on a terminal: a bar and a text."""
+
+    def __init__(self, bars: Progress, board: str) -> None:
+        self._bars = bars
+        self._task = bars.add_task("gets ready", total=None, board=printable(board))
+
+    def begin(self, text: str, total_s: float | None) -> None:
+        """Show another text, and a bar that is full after this time, in seconds."""
+        self._bars.reset(self._task, total=total_s, description=printable(text))
+
+    def show(self, text: str) -> None:
+        """Show another text beside the same bar."""
+        self._bars.update(self._task, description=printable(text))
 
 
 class BoardLine:
     """Shows what one board does. Every printed line has the name of the board."""
 
-    def __init__(self, board: str, show: Callable[[str, float | None], None], lock: threading.Lock) -> None:
-        self._board, self._show, self._lock = board, show, lock
+    def __init__(self, board: str, row: _Row | None, lock: threading.Lock) -> None:
+        self._board, self._row, self._lock = board, row, lock
         self._began = time.monotonic()
+        self.on_figures: ShowFigures | None = None
 
     def began(self, number: int, run: Run) -> None:
         """Show what is measured."""
         del number
         self._began = time.monotonic()
-        self._show(run.name, run.total_s)
+        if row := self._row:
+            row.begin(run.name, run.total_s)
+            self.on_figures = lambda figures: row.show(in_words(figures, run))
 
     def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None:
         """Print what became of the run."""
@@ -34,7 +54,8 @@ class BoardLine:
         tail = f": {reason}" if reason else ""
         with self._lock:
             print_line(f"{status:10} {self._board:12} {run.name}  {elapsed_s:.1f} s{tail}")
-        self._show("waits for the other boards", None)
+        if self._row:
+            self._row.begin("waits for the other boards", None)
 
     def note(self, text: str) -> None:
         """Print a remark."""
@@ -43,7 +64,8 @@ class BoardLine:
 
     def left(self, error: str | None) -> None:
         """Show that the board measures no more, and print why if it failed."""
-        self._show("failed" if error else "done", None)
+        if self._row:
+            self._row.begin("failed" if error else "done", None)
         if error:
             self.note(f"{error}: the other boards measure what it leaves")
 
@@ -53,7 +75,7 @@ def showing_boards(boards: Sequence[str], console: Console) -> Iterator[Mapping[
     """Yield a progress line for each board, by its name."""
     lock = threading.Lock()
     if not console.is_terminal:
-        yield {board: BoardLine(board, lambda *_: None, lock) for board in boards}
+        yield {board: BoardLine(board, None, lock) for board in boards}
         return
     columns = (
         TextColumn("{task.fields[board]}"),
@@ -61,21 +83,15 @@ def showing_boards(boards: Sequence[str], console: Console) -> Iterator[Mapping[
         TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1)),
     )
     bars = Progress(*columns, console=console, transient=True, refresh_per_second=2, expand=True)
-    tasks = {board: bars.add_task("gets ready", total=None, board=board) for board in boards}
-    with bars, _moving(bars) as shown:
-        yield {board: BoardLine(board, shown(tasks[board]), lock) for board in boards}
+    rows = {board: _Row(bars, board) for board in boards}
+    with bars, _moving(bars):
+        yield {board: BoardLine(board, row, lock) for board, row in rows.items()}
 
 
 @contextlib.contextmanager
-def _moving(bars: Progress) -> Iterator[Callable[[TaskID], Callable[[str, float | None], None]]]:
-    """Yield a setter for the line of each task: its text, and the time in seconds after which its bar is full."""
+def _moving(bars: Progress) -> Iterator[None]:
+    """Let the bars move."""
     ended = threading.Event()
-
-    def shown(task: TaskID) -> Callable[[str, float | None], None]:
-        def show(text: str, total_s: float | None) -> None:
-            bars.reset(task, total=total_s, description=printable(text))
-
-        return show
 
     def move() -> None:
         while not ended.wait(0.5):
@@ -86,7 +102,7 @@ def _moving(bars: Progress) -> Iterator[Callable[[TaskID], Callable[[str, float 
     mover = threading.Thread(target=move, daemon=True)
     mover.start()
     try:
-        yield shown
+        yield
     finally:
         ended.set()
         mover.join()

@@ -22,6 +22,7 @@ from rtrun.probes.programs import ObservableProgram, Roster, find_programs, left
 from rtrun.probes.session import Began, Finished
 from rtrun.results.columns import NoRoom
 from rtrun.results.coverage import Coverage, coverage
+from rtrun.results.figures_so_far import FiguresSoFar
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import kernel_trace
 from rtrun.targets.link import Link, TargetRebooted
@@ -52,13 +53,15 @@ def _ignore(_seen: object) -> None:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Onlooker:
-    """Who follows an observation, and how it is notified.
+    """Who follows a run, and how it is notified.
 
-    `on_second` is called about once a second with the figures so far, `on_end` with the whole result. `is_attended`: a
-    user waits for the observation. Then Ctrl-C ends it like the end of its time, and what was seen is kept; if nothing
-    can be observed, that is reported at once.
+    `on_figures` is called every few seconds with what a suite has measured so far; None: the target is not asked.
+    `on_second` is called about once a second with the state of an observation, `on_end` with the whole result.
+    `is_attended`: a user waits for the observation. Then Ctrl-C ends it like the end of its time, and what was seen is
+    kept; if nothing can be observed, that is reported at once.
     """
 
+    on_figures: Callable[[FiguresSoFar], None] | None = None
     on_second: Callable[[Snapshot], None] = _ignore
     on_end: "Callable[[ObservationResult], None]" = _ignore
     recorder: FlowRecorder | None = None

@@ -6,7 +6,7 @@ total deadline, and the output of a command is limited.
 
 import contextlib
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -78,19 +78,33 @@ class Connection:
         """Break the connection, so that a thread that waits for it gets ConnectionLost."""
         self.shell.interrupt()
 
-    def run(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> Completed:
-        """Run a command and wait for its end.
+    def run(
+        self,
+        argv: Sequence[str],
+        *,
+        deadline_s: float = COMMAND_S,
+        stdin: str = "",
+        on_line: Callable[[str], None] | None = None,
+    ) -> Completed:
+        """Run a command and wait for its end; `on_line` gets each line of its output when it arrives.
 
         Raises DeadlineExpired after `deadline_s` seconds, once what was started has been killed; TargetError when it
         prints more than 2 MiB; ConnectionLost.
         """
-        stdout = Collector(OUTPUT_BYTES_MAX)
+        stdout = Collector(OUTPUT_BYTES_MAX, on_line)
         status, stderr = self.shell.execute(argv, [stdin.encode()] if stdin else [], stdout, deadline_s)
         return Completed(status=status, stdout=stdout.text(), stderr=stderr)
 
-    def check(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> str:
+    def check(
+        self,
+        argv: Sequence[str],
+        *,
+        deadline_s: float = COMMAND_S,
+        stdin: str = "",
+        on_line: Callable[[str], None] | None = None,
+    ) -> str:
         """`run`, and return the output; a nonzero exit status is a TargetError with the last line of output."""
-        result = self.run(argv, deadline_s=deadline_s, stdin=stdin)
+        result = self.run(argv, deadline_s=deadline_s, stdin=stdin, on_line=on_line)
         if result.status != 0:
             last_line = _last_line(result.stderr) or _last_line(result.stdout) or "it printed nothing"
             raise TargetError(f"{self.address}: {argv[0]} failed with exit status {result.status}: {last_line}")

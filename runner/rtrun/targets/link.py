@@ -111,9 +111,16 @@ class Link:
         """`Connection.run` with a live connection. Raises as that and `do` do."""
         return self.do(lambda connection: connection.run(argv, deadline_s=deadline_s, stdin=stdin))
 
-    def check(self, argv: Sequence[str], *, deadline_s: float = COMMAND_S, stdin: str = "") -> str:
+    def check(
+        self,
+        argv: Sequence[str],
+        *,
+        deadline_s: float = COMMAND_S,
+        stdin: str = "",
+        on_line: Callable[[str], None] | None = None,
+    ) -> str:
         """`Connection.check` with a live connection. Raises as that and `do` do."""
-        return self.do(lambda connection: connection.check(argv, deadline_s=deadline_s, stdin=stdin))
+        return self.do(lambda connection: connection.check(argv, deadline_s=deadline_s, stdin=stdin, on_line=on_line))
 
     def _reconnect(self) -> Connection:
         if self._given_up is not None:

@@ -27,19 +27,34 @@ END_BACKGROUND_S = 300.0
 # To remove a folder with some million files from an SD card.
 REMOVE_S = 600.0
 
-# Waits for the program $2. First it checks whether one of the programs that it needs, $3 and so on, has failed.
+# A process of the target is forked as often, to sleep.
+FOLLOW_S = 2
+
+# Waits for the program $2. First it checks whether one of the programs that it needs, those of $3, has failed.
+# Meanwhile it prints the lines of the files $5 and so on, every $4 seconds.
 _WAIT = """
 cd "$1" || exit 1
-program=$2
-shift 2
-for name; do
+program=$2 needed=$3 pause_s=$4
+shift 4
+for name in $needed; do
     flock -n -s "$program.lock" true && break
     flock -n -s "$name.lock" true || continue
     status=
     [ ! -e "$name.exit" ] || read -r status _ <"$name.exit"
     [ "$status" = 0 ] || { echo "failed $name"; exit 0; }
 done
+[ $# = 0 ] || {
+    while sleep "$pause_s" </dev/null >/dev/null; do
+        for name; do
+            line=
+            [ ! -e "$name" ] || read -r line <"$name"
+            [ -z "$line" ] || echo "line $name $line"
+        done
+    done 2>/dev/null &
+    follower=$!
+}
 flock -s "$program.lock" true
+[ $# = 0 ] || { kill $follower; wait $follower; } 2>/dev/null
 cat "$program.exit" 2>/dev/null
 [ -e "$program.expired" ] && echo expired
 exit 0
@@ -158,6 +173,17 @@ class Ended:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Following:
+    """Files of one line in the folder of a program that is waited for: every FOLLOW_S each line goes to `take`.
+
+    `take` gets the name of the file and its line. Nobody has checked the line.
+    """
+
+    files: Sequence[str]
+    take: Callable[[str, str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NeededFailed:
     """A program that the awaited one needs has failed; `name` says which."""
 
@@ -183,28 +209,49 @@ def call(scripts: PurePosixPath, folder: PurePosixPath, program: Program, *, set
 def wait(link: Link, folder: PurePosixPath, name: str, *, deadline_s: float) -> Exit: ...
 @overload
 def wait(
-    link: Link, folder: PurePosixPath, name: str, *, deadline_s: float, needed: Sequence[str]
+    link: Link,
+    folder: PurePosixPath,
+    name: str,
+    *,
+    deadline_s: float,
+    needed: Sequence[str],
+    following: Following | None = None,
 ) -> Exit | NeededFailed: ...
 def wait(
-    link: Link, folder: PurePosixPath, name: str, *, deadline_s: float, needed: Sequence[str] = ()
+    link: Link,
+    folder: PurePosixPath,
+    name: str,
+    *,
+    deadline_s: float,
+    needed: Sequence[str] = (),
+    following: Following | None = None,
 ) -> Exit | NeededFailed:
     """Wait for the end of a program, or until one of the `needed` programs has failed, which is seen within WAIT_S.
 
-    The wait blocks on a file lock, so it costs the target no CPU time. Raises DeadlineExpired when the program has not
-    ended in time, TargetGone and TargetRebooted.
+    The wait blocks on a file lock, so it costs the target no CPU time unless files are followed. Raises
+    DeadlineExpired when the program has not ended in time, TargetGone and TargetRebooted.
     """
     deadline = time.monotonic() + deadline_s
-    command = ["sh", "-c", _WAIT, "sh", str(folder), name, *needed]
+    files = following.files if following else ()
+    command = ["sh", "-c", _WAIT, "sh", str(folder), name, " ".join(needed), str(FOLLOW_S), *files]
+
+    def take(line: str) -> None:
+        word, _, rest = line.partition(" ")
+        file, _, content = rest.partition(" ")
+        if following and word == "line" and file in files:
+            following.take(file, content)
+
     while True:
         slice_s = min(WAIT_S, max(SLICE_S, deadline - time.monotonic()))
         try:
-            words = link.check(command, deadline_s=slice_s).split()
+            printed = link.check(command, deadline_s=slice_s, on_line=take if following else None)
         except DeadlineExpired:
             if failure := link.target.failure():
                 raise failure from None
             if time.monotonic() >= deadline:
                 raise
             continue
+        words = [word for line in printed.splitlines() if not line.startswith("line ") for word in line.split()]
         if words[:1] == ["failed"] and words[1:] and words[1] in needed:
             return NeededFailed(name=words[1])
         return Exit(status=_exit_status(words[0]) if words else None, expired="expired" in words)

@@ -49,16 +49,20 @@ class TooMuch(Exception):
 
 
 class Collector:
-    """Collects what a command prints, up to a limit."""
+    """Collects what a command prints, up to a limit; `on_line` gets each line when its end arrives."""
 
-    def __init__(self, limit_bytes: int) -> None:
+    def __init__(self, limit_bytes: int, on_line: Callable[[str], None] | None = None) -> None:
         self._data = bytearray()
-        self._limit_bytes = limit_bytes
+        self._limit_bytes, self._on_line = limit_bytes, on_line
+        self._lines_bytes = 0
 
     def __call__(self, chunk: bytes) -> None:
         self._data += chunk
         if len(self._data) > self._limit_bytes:
             raise TooMuch(f"{self._limit_bytes // 2**20} MiB")
+        while self._on_line and (end := self._data.find(b"\n", self._lines_bytes)) >= 0:
+            line, self._lines_bytes = self._data[self._lines_bytes : end], end + 1
+            self._on_line(line.decode("utf-8", "replace"))
 
     def text(self) -> str:
         return self._data.decode("utf-8", "replace")

@@ -127,6 +127,31 @@ def test_a_program_is_waited_for_in_many_short_waits(link, scripts, folder, monk
     assert start_and_wait(link, scripts, folder, sh("sleep 1; exit 6")).status == 6
 
 
+def test_files_are_followed_while_a_program_is_waited_for(link, scripts, folder, monkeypatch):
+    """The program ends when its own last line, and nothing before it, has come."""
+    monkeypatch.setattr(processes, "FOLLOW_S", "0.1")
+    folder_there, seen = PurePosixPath(folder), []
+    (folder / "b.live").write_text("other words")
+
+    def take(file, line):
+        seen.append((file, line))
+        if ("a.live", "7  8") in seen:
+            (folder / "go").touch()
+
+    body = "echo '7  8' >a.live; until [ -e go ]; do sleep 0.05; done; exit 3"
+    processes.start(link, scripts, folder_there, sh(f"cd {folder} && {body}"))
+    following = processes.Following(files=["a.live", "b.live", "none.live"], take=take)
+    ended = processes.wait(link, folder_there, "p", deadline_s=60, needed=[], following=following)
+    assert ended == Exit(status=3, expired=False)
+    assert {line for file, line in seen if file == "b.live"} == {"other words"}
+    assert {file for file, _ in seen} == {"a.live", "b.live"}
+
+
+def test_without_a_follower_nothing_is_read(link, scripts, folder):
+    (folder / "a.live").write_text("failed p\n")
+    assert start_and_wait(link, scripts, folder, sh("exit 3")).status == 3
+
+
 def test_what_never_becomes_true_is_an_error():
     with pytest.raises(TargetError, match="waited 0 s for the moon"):
         processes.wait_until(lambda: False, deadline_s=0, what="the moon")

@@ -12,6 +12,7 @@ from rtrun.plan import suites
 from rtrun.plan.middleware.description import middlewares
 from rtrun.plan.program import Program
 from rtrun.plan.run import Run
+from rtrun.results.figures_so_far import ENDING, FiguresSoFar, pooled, read_figures
 from rtrun.results.record import RunRecord
 from rtrun.results.run_state import RunEvent, RunLife
 from rtrun.targets import processes
@@ -118,7 +119,7 @@ def _last_word(work: ActiveRun, name: str) -> str:
 
 def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) -> MeasuringEnd:
     """Wait for the programs of the suite."""
-    link, failure = work.link, None
+    link, failure, following = work.link, None, _following(work)
     awaited = [program.name for program in work.programs.subject.awaited]
     exits = []
     for program in work.programs.subject.of_suite:
@@ -126,7 +127,9 @@ def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) ->
         if work.programs.subject.need_one_another and not failure:
             needed = [name for name in work.programs.subject.suite_names if name != program.name]
         deadline_s = program.deadline_s + END_GRACE_S
-        ended = processes.wait(link, work.remote, program.name, deadline_s=deadline_s, needed=needed)
+        ended = processes.wait(
+            link, work.remote, program.name, deadline_s=deadline_s, needed=needed, following=following
+        )
         if isinstance(ended, processes.NeededFailed):
             # As before the start of a stage: the publisher would go on as if the program were there.
             failure = f"{ended.name} ended while {program.name} was running: {_last_word(work, ended.name)}"
@@ -139,6 +142,21 @@ def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) ->
     service = work.service_identity()
     life.move(RunEvent.END)
     return MeasuringEnd(exits=exits, failure=failure, service=service)
+
+
+def _following(work: ActiveRun) -> processes.Following | None:
+    """What is read while the suite measures: the figures so far of each of its outputs, if somebody follows the run."""
+    show = work.onlooker.on_figures
+    if show is None:
+        return None
+    seen: dict[str, FiguresSoFar] = {}
+
+    def take(file: str, line: str) -> None:
+        if figures := read_figures(line):
+            seen[file] = figures
+            show(pooled(seen.values()))
+
+    return processes.Following(files=[f"{name}{ENDING}" for name in work.programs.subject.outputs], take=take)
 
 
 def close(closing: Closing, record: RunRecord) -> RunRecord:
