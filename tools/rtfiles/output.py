@@ -14,6 +14,8 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
+from rtfiles.quantities import grouped
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -37,7 +39,7 @@ def shortened(text: str, width: int) -> str:
 
 def counted(number: int, noun: str) -> str:
     """A number and its noun, with an s unless the number is 1."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    return f"{grouped(number)} {noun}{'' if number == 1 else 's'}"
 
 
 def listed(names: Collection[str], most: int) -> str:

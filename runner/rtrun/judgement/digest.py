@@ -17,7 +17,7 @@ from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogra
 from rtrun.kinds.known import CLUSTERED, MAIN_2014
 from rtrun.kinds.values import Int64s
 from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance
-from rtrun.results.series import Header, HistogramSeries, Series
+from rtrun.results.series import Header, HistogramSeries, SampleSeries, Series
 
 _COLUMNS = 240
 _WIDE_COLUMNS, _ROWS = 60, 40  # of counts over time
@@ -41,12 +41,15 @@ class Cluster:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ThinnedSeries:
-    """A series over its loops, thinned: ``low_ns`` and ``high_ns`` (c,) of consecutive columns of ``width`` loops.
+    """A series over its loops, thinned: ``low_ns`` and ``high_ns`` (c,) of the columns of ``width`` loops with values.
 
-    ``counts`` (r, w) are the numbers of values in wider columns of ``columns_of`` loops, between ``edges_ns`` (r + 1,)
-    at equal distances on ``scale``.
+    ``loops`` (c,) are the first loops of these columns; a column has no place where all its values are missing. `end`
+    follows the last loop. ``counts`` (r, w) are the numbers of values in wider columns of ``columns_of`` loops, between
+    ``edges_ns`` (r + 1,) at equal distances on ``scale``.
     """
 
+    loops: Int64s
+    end: int
     low_ns: Int64s
     high_ns: Int64s
     width: int
@@ -145,7 +148,7 @@ def digest(series: Series, question: Question | None, startup_loops: int = 0) ->
         undecidable=undecidable,
         blocks=cut(values_ns) if values_ns.size else None,
         tail=tail_of(values_ns) if has_order else None,
-        course=_course(values_ns, histogram) if has_order else None,
+        course=_course(series, histogram) if has_order else None,
         head=head,
         startup=startup,
     )
@@ -172,17 +175,24 @@ def _cluster(histogram: Histogram) -> Cluster:
     return Cluster(n=n, fraction=fraction, median_ns=middle, low_ns=int(values[0]), high_ns=int(values[-1]))
 
 
-def _course(values: Int64s, histogram: Histogram) -> ThinnedSeries:
-    width = -(-values.size // _COLUMNS)
-    starts = np.arange(0, values.size, width)
+def _course(series: SampleSeries, histogram: Histogram) -> ThinnedSeries:
+    values, first = series.values_ns, len(series.header.startup)
+    loop = series.index - first
+    # Skipped periods have no loops of their own.
+    last = [loop[-1], *(series.absent[-1:] if not series.header.skipped else ())]
+    size = int(max(last)) + 1
+    width = -(-size // _COLUMNS)
+    starts = np.flatnonzero(np.diff(loop // width, prepend=-1))
     scale = scale_of(histogram)
     edges = scale.edges(_ROWS, max(histogram.bin_ns, 1000))
-    columns_of = -(-values.size // _WIDE_COLUMNS)
-    columns = -(-values.size // columns_of)
+    columns_of = -(-size // _WIDE_COLUMNS)
+    columns = -(-size // columns_of)
     row = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
-    at = row * columns + np.arange(values.size) // columns_of
+    at = row * columns + loop // columns_of
     counts = np.bincount(at, minlength=(edges.size - 1) * columns).reshape(-1, columns)
     return ThinnedSeries(
+        loops=first + loop[starts] // width * width,
+        end=first + size,
         low_ns=np.minimum.reduceat(values, starts),
         high_ns=np.maximum.reduceat(values, starts),
         width=width,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from rtfiles.errors import UsageError
 from rtfiles.output import counted
+from rtfiles.quantities import grouped
 
 if TYPE_CHECKING:
     from rtrun.kinds.values import Bools, Int64s
@@ -48,7 +49,7 @@ def are_late(values_ns: "Int64s", deadline_ns: int, width_ns: "Int64s | int" = 1
 
 def absent_in_words(number: int, of: Measure | None) -> str:
     """How many have no value: "3 periods skipped"."""
-    return f"{counted(number, 'period')} skipped" if is_of_periods(of) else f"{number} never came"
+    return f"{counted(number, 'period')} skipped" if is_of_periods(of) else f"{grouped(number)} never came"
 
 
 def is_of_periods(of: Measure | None) -> bool:

@@ -85,8 +85,10 @@ def _overview(cards: list[dict[str, Any]]) -> dict[str, Any] | None:
             }
         )
     deadlines = {_deadline_ns(card) for card in measured} - {None}
-    limit = f"deadline {time(deadlines.pop())}" if len(deadlines) == 1 else "deadline" if deadlines else ""
-    return {"rows": rows, "ticks": [(at(value), text) for value, text in axis.ticks], "limit": limit}
+    limit_ns = deadlines.pop() if len(deadlines) == 1 else None
+    limit = f"deadline {time(limit_ns)}" if limit_ns else "deadline" if deadlines else ""
+    ticks = [(at(value), text) for value, text in axis.ticks]
+    return {"rows": rows, "ticks": ticks, "limit": limit, "limit_at": at(limit_ns)}
 
 
 def _pictured_ns(card: dict[str, Any]) -> dict[str, float | None]:

@@ -126,7 +126,7 @@ def _figures(every: Sequence[Digest]) -> Table:
 
     def row(name: str, series: str, figures: Figures, places: Sequence[int]) -> tuple[str, ...]:
         times = times_ns(figures)
-        counts = (str(sum(getattr(every[k].header, what) for k in places)) for what in lost)
+        counts = (grouped(sum(getattr(every[k].header, what) for k in places)) for what in lost)
         return (name, series, *(time(times[what]) for what in _SHOWN), grouped(figures.n), *counts)
 
     rows: list[tuple[str, ...]] = []

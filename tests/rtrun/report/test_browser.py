@@ -13,10 +13,12 @@ import threading
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pytest
 from made_topology import made_topology, topology_of, write_topology_run
 from plan.test_topology import BRAKING
 from report.campaigns import latencies, oneshot_run
+from written import NOT_FIRED
 
 from rtrun.cli import main
 
@@ -42,6 +44,11 @@ function overlapping(texts) {
   return texts.filter((_, k) => k && boxes[k].left < boxes[k - 1].right && boxes[k - 1].left < boxes[k].right &&
     boxes[k].top < boxes[k - 1].bottom && boxes[k - 1].top < boxes[k].bottom);
 }
+// What has to be moved to be read, and text wider than its place. Graphs may be, and tables between a phone and a desk.
+const wider = (page, width) => [...page.querySelectorAll("body *")].filter((e) =>
+  e.clientWidth && e.scrollWidth > e.clientWidth + 1 &&
+  (!e.children.length || getComputedStyle(e).overflowX !== "visible") &&
+  !e.closest("svg") && !e.matches(width === 800 ? ".wide" : ".wide:has(svg)"));
 async function used(width) {
   const frame = await opened("report.html", width), page = frame.contentDocument, view = frame.contentWindow;
   const cards = [...page.querySelectorAll("details[data-suite]")];
@@ -63,7 +70,9 @@ async function used(width) {
     return !(rect.width && rect.left <= text.left && text.right <= rect.right && text.bottom <= rect.bottom);
   }).map((node) => node.textContent).concat(boxes.flatMap((one, k) => boxes.slice(k + 1).filter((two) =>
     one.left < two.right && two.left < one.right && one.top < two.bottom - 1 && two.top < one.bottom - 1)));
-  const cut = shown(".worst, .tag").filter((e) => e.clientWidth && e.scrollWidth > e.clientWidth + 1);
+  const limits = [...page.querySelectorAll(".frame b, .under b")].map((e) => e.textContent);
+  const lines = ["limit", "grid"].map((kind) => view.getComputedStyle(page.querySelector(`path.${kind}`)))
+    .map(({ stroke, strokeDasharray }) => [stroke, strokeDasharray]);
   const hovers = [...cards[0].querySelectorAll(".frame")].map((frame) => {
     const box = frame.getBoundingClientRect();
     const clientX = box.left + box.width / 3, clientY = box.bottom - box.height / 3;
@@ -77,6 +86,7 @@ async function used(width) {
   const dead = [...page.querySelectorAll("a")].filter((a) => !page.getElementById(a.hash.slice(1))).map((a) => a.hash);
   view.dispatchEvent(new view.Event("beforeprint"));
   const printed = page.querySelectorAll("details:not([open])").length;
+  const cut = wider(page, width);
   view.dispatchEvent(new view.Event("afterprint"));
   page.querySelector("select[name=policy]").value = "FIFO";
   page.querySelector("#filter").dispatchEvent(new view.Event("change"));
@@ -85,7 +95,7 @@ async function used(width) {
   const scroll = page.documentElement.scrollWidth;
   frame.remove();
   return { scroll, wide: named(wide), overlap: named(overlap), cut: named(cut), dead, graph, boxes: boxes.length,
-    open, all, linked, hovers, csv, printed, filtered };
+    open, all, linked, hovers, csv, printed, filtered, limits, lines };
 }
 // What a reader sees with every card open.
 async function seen(address, scripts, width = 800) {
@@ -93,17 +103,17 @@ async function seen(address, scripts, width = 800) {
   for (const card of page.querySelectorAll("details")) card.open = true;
   await pause(200);
   const worst = page.querySelector("[id$=--figures] + .wide td.n")?.getBoundingClientRect().right;
-  return { scroll: page.documentElement.scrollWidth, worst, text: page.body.innerText,
+  return { scroll: page.documentElement.scrollWidth, worst, cut: named(wider(page, width)), text: page.body.innerText,
     images: page.querySelectorAll("img:not(.frame > img)").length,
     scripted: page.documentElement.classList.contains("scripted"),
     plots: [...page.querySelectorAll(".frame svg")].filter((plot) => plot.getBoundingClientRect().height > 50).length,
     tables: [...page.querySelectorAll("table")].filter((table) => table.getClientRects().length).length };
 }
 addEventListener("load", async () => {
-  for (const width of [390, 800, 1400]) pages[width] = await used(width);
+  for (const width of [390, 800, 1280]) pages[width] = await used(width);
   pages.still = await seen("report.html", false);
   for (const name of ["hostile", "bad"]) pages[name] = await seen(`${name}.html`, true);
-  pages.tiny = await seen("tiny.html", true, 390);
+  for (const width of [390, 1280]) pages[`tiny ${width}`] = await seen("tiny.html", true, width);
   const text = document.createElement("pre");
   text.id = "pages";
   text.textContent = JSON.stringify(pages);
@@ -132,7 +142,8 @@ def folder(campaign, tmp_path_factory):
     for name in ("a<img src=y onerror=missing()>", "b" * 200):
         oneshot_run(hostile, name, latencies(500, 1), parameters={"cpu": EVIL}, target=target)
     assert main(["report", str(hostile), "--deadline", "90us", "--output", str(folder / "hostile.html")]) == 0
-    oneshot_run(folder / "one", "001-oneshot_timer_tests_l20000_tm1000-tnRTFIFO-r2", latencies(1, 1))
+    values = np.concatenate([latencies(1, 1), [NOT_FIRED] * 100_000])
+    oneshot_run(folder / "one", "001-oneshot_timer_tests_l20000_tm1000-tnRTFIFO-trace-1000us-r2", values)
     assert main(["report", str(folder / "one"), "--output", str(folder / "tiny.html")]) == 0
     (folder / "bad.html").write_text("<script>missing();</script>")
     (folder / "probe.html").write_text(PROBE)
@@ -201,7 +212,7 @@ def test_nothing_is_fetched(visit):
     assert visit.requested == {f"/{name}.html" for name in pages}
 
 
-@pytest.mark.parametrize("width", [390, 800, 1400])
+@pytest.mark.parametrize("width", [390, 800, 1280])
 def test_the_page_holds_on_a_phone_and_on_a_desk(visit, width):
     page = visit.pages[str(width)]
     assert page["scroll"] <= width, page
@@ -212,8 +223,15 @@ def test_the_page_holds_on_a_phone_and_on_a_desk(visit, width):
     assert page["printed"] == 0 and page["filtered"] == [5, 5, "5 scenarios"]
 
 
+def test_a_deadline_has_its_name_at_its_line_and_looks_like_no_other_line(visit):
+    page = visit.pages["1280"]
+    assert page["limits"].count("deadline 400 us") == 1 + 15 * 3, "of the overview, and of three plots of each scenario"
+    (limit, limit_dashes), (grid, grid_dashes) = page["lines"]
+    assert limit != grid and grid_dashes == "none" != limit_dashes
+
+
 def test_a_plot_tells_its_data(visit):
-    page = visit.pages["1400"]
+    page = visit.pages["1280"]
     times = r"-?[0-9.]+ (ns|us|ms|s)"
     assert len(page["hovers"]) == 4 and all(re.search(times, text) for text in page["hovers"]), page["hovers"]
     rows = [list(csv.reader(io.StringIO(text))) for text in page["csv"]]
@@ -237,8 +255,9 @@ def test_hostile_names_stay_text(visit):
 
 def test_a_page_of_almost_nothing_on_a_phone(visit):
     """The highest value is seen beside whatever name a run has."""
-    page = visit.pages["tiny"]
-    assert "NEEDS MORE" in page["text"] and page["scroll"] <= 390 and page["worst"] < 390
+    page = visit.pages["tiny 390"]
+    assert "no deadline" in page["text"] and page["scroll"] <= 390 and page["worst"] < 390
+    assert page["cut"] == visit.pages["tiny 1280"]["cut"] == []
 
 
 def test_the_page_prints(folder, tmp_path):
@@ -252,5 +271,21 @@ def test_the_page_prints(folder, tmp_path):
         ["pdftotext", "-layout", tmp_path / "report.pdf", "-"], capture_output=True, text=True, check=True
     ).stdout.split("\f")[:-1]
     assert console == [] and all(len(page.split()) > 20 for page in pages), "no page is empty"
+    assert all(filled > 0.5 for filled in _filled(tmp_path / "report.pdf")[:-1]), "no page is half empty but the last"
     text = "".join(pages)
     assert text.count("Figures\n") == 15 and "How to reproduce" in text and "Clopper" in text
+
+
+def test_a_small_report_is_a_few_sheets_of_paper(folder, tmp_path):
+    browse(tmp_path / "profile", f"--print-to-pdf={tmp_path / 'tiny.pdf'}", f"file://{folder}/tiny.html")
+    assert len(_filled(tmp_path / "tiny.pdf")) <= 3
+
+
+def _filled(pdf):
+    """The part of the height of each page down to its lowest word, without headers and footers."""
+    boxes = subprocess.run(["pdftotext", "-bbox", pdf, "-"], capture_output=True, text=True, check=True).stdout
+    pages = re.findall(r'<page width="[0-9.]+" height="([0-9.]+)">(.*?)</page>', boxes, re.DOTALL)
+    return [
+        max((float(low) for low in re.findall(r'yMax="([0-9.]+)"', words)), default=0.0) / float(height)
+        for height, words in pages
+    ]

@@ -95,10 +95,10 @@ def _exceedance(
 ) -> Plot:
     group = scenario.group
     together = "all" if len(slow) == len(group.digests) else "slowest subscriber of each run"
-    marks = [_share_above(0, "measured" if len(shown) == 1 else together, merge(one.histogram for one in slow))]
+    marks = [_share_above(0, "measured" if len(shown) == 1 else together, slow)]
     if 1 < len(shown) < _COLOURS:
         labels = enumerate(zip(output_labels(shown), shown, strict=True), start=1)
-        marks += [_share_above(k, label, one.histogram) for k, (label, one) in labels]
+        marks += [_share_above(k, label, [one]) for k, (label, one) in labels]
     floor = 0.5 / max(one.n for one in shown)
     if limit_ns is not None:
         floor = min(floor, probability)
@@ -115,19 +115,26 @@ def _exceedance(
     return Plot(
         id="shares",
         caption=f"Share of the values above each value{', with the fitted tail' if tails else ''}."
-        f"{' What lies right of the deadline is late.' if asked else ''}",
+        f"{' What lies right of the deadline is late.' if asked else ''}"
+        f"{' A value that never came counts as above all others.' if any(map(_absent, shown)) else ''}",
         x=along,
         y=up,
         marks=[*marks, *tails, *asked],
     )
 
 
-def _share_above(k: int, name: str, bins: Histogram) -> Mark:
-    above = bins.n - np.cumsum(bins.counts)
+def _share_above(k: int, name: str, series: Sequence[Digest]) -> Mark:
+    bins = merge(one.histogram for one in series)
+    total = bins.n + sum(map(_absent, series))
+    above = total - np.cumsum(bins.counts)
     # No value is above the last one, which a logarithm cannot show: half a value stands for it.
-    keep = _thin(np.log10(bins.n / np.maximum(above, 0.5)), 200)
+    keep = _thin(np.log10(total / np.maximum(above, 0.5)), 200)
     x = np.concatenate(([bins.values_ns[0]], bins.values_ns[keep] + bins.bin_ns))
-    return make_mark("steps", name, x, np.concatenate(([1.0], np.maximum(above[keep], 0.5) / bins.n)), k)
+    return make_mark("steps", name, x, np.concatenate(([1.0], np.maximum(above[keep], 0.5) / total)), k)
+
+
+def _absent(one: Digest) -> int:
+    return one.header.missing + one.header.not_fired + one.header.skipped
 
 
 def _thin(places: Any, most: int) -> Any:
@@ -160,16 +167,25 @@ def _course(one: JudgedDigest, up: Axis, limit_ns: float | None, *, name: str) -
     """The course of an output, called by its `name` if there are others."""
     course = one.course
     assert course is not None
-    skipped, size = len(one.header.startup), len(course.low_ns)
-    loops = skipped + np.arange(size + 1) * course.width
-    along = axes.counts("loop", float(skipped), float(loops[-1]))
+    along = axes.counts("loop", float(len(one.header.startup)), float(course.end))
+    # Loops whose values are missing leave a gap.
+    gaps = np.flatnonzero(np.diff(course.loops) > course.width) + 1
+    pieces = zip(*(np.split(each, gaps) for each in (course.loops, course.low_ns, course.high_ns)), strict=True)
     if course.width == 1:
-        marks = [make_mark("line", "values", loops[:-1], course.high_ns)]
+        marks = [make_mark("line", "values", loops, highest) for loops, _, highest in pieces]
         caption = "Values over the loops"
     else:
-        low, high = (np.append(values, values[-1]) for values in (course.low_ns, course.high_ns))
         caption = f"Lowest to highest of each {grouped(course.width)} loops"
-        marks = [make_mark("area", caption[0].lower() + caption[1:], loops, high, low=low.astype(np.float64))]
+        marks = [
+            make_mark(
+                "area",
+                caption[0].lower() + caption[1:],
+                np.append(loops, min(loops[-1] + course.width, course.end)),
+                np.append(highest, highest[-1]),
+                low=np.append(lowest, lowest[-1]).astype(np.float64),
+            )
+            for loops, lowest, highest in pieces
+        ]
     listed = [(e.index, e.value_ns) for e in one.figures.top if e.index is not None]
     marks.append(
         make_mark("dots", f"{len(listed)} highest", [at for at, _ in listed], [value for _, value in listed], 1)
@@ -189,7 +205,7 @@ def _over_time(one: JudgedDigest, measured: str) -> Plot:
     course = one.course
     assert course is not None
     skipped, columns = len(one.header.startup), course.counts.shape[1]
-    edges = skipped + np.minimum(np.arange(columns + 1) * course.columns_of, one.n).astype(np.float64)
+    edges = np.minimum(skipped + np.arange(columns + 1) * course.columns_of, course.end).astype(np.float64)
     return Plot(
         id="over-time",
         caption="How often each value occurred while time went on.",

@@ -71,8 +71,9 @@ class Plot:
 class Drawn:
     """A plot as a template takes it. Places are percentages of the drawing's width, and of its height from the top.
 
-    `paths` are (class, colour, path), `keys` (class, colour, name), ticks (place, text). `data` is what was drawn, for
-    the page's script, which shows it under the pointer and writes it as CSV.
+    `paths` are (class, colour, path), `keys` (class, colour, name), ticks (place, text), `limits` (class, place, name):
+    a limit has its name at its line, upright or level, and back from it where it is near the end. `data` is what was
+    drawn, for the page's script, which shows it under the pointer and writes it as CSV.
     """
 
     id: str
@@ -83,6 +84,7 @@ class Drawn:
     y_ticks: Sequence[tuple[float, str]]
     paths: Sequence[tuple[str, int, str]]
     keys: Sequence[tuple[str, int, str]]
+    limits: Sequence[tuple[str, float, str]]
     picture: str = ""
     colours: Sequence[tuple[str, str]] = ()
     data: Mapping[str, Any] = field(default_factory=dict)
@@ -107,10 +109,26 @@ def drawn(plot: Plot) -> Drawn:
         x_ticks=x_ticks,
         y_ticks=y_ticks,
         paths=[("grid", 0, grid), *((mark.kind, mark.colour, _path(plot, mark)) for mark in plot.marks)],
-        keys=[(mark.kind, mark.colour, printable(mark.name)) for mark in plot.marks if mark.name],
+        # Pieces of a line that has gaps share one key.
+        keys=[*dict.fromkeys((one.kind, one.colour, printable(one.name)) for one in plot.marks if not _at_line(one))],
+        limits=[_limit(plot, mark) for mark in plot.marks if _at_line(mark)],
         data=axes | _data(plot),
         **more,
     )
+
+
+def _at_line(mark: Mark) -> bool:
+    return mark.kind == "limit" and mark.x.size > 0
+
+
+def _limit(plot: Plot, mark: Mark) -> tuple[str, float, str]:
+    if mark.x[0] == mark.x[-1]:
+        style, place = "upright", float(plot.x.scale.at(mark.x[0]))
+        is_back = place > 0.5
+    else:
+        style, place = "level", 1 - float(plot.y.scale.at(mark.y[0]))
+        is_back = place < 0.15
+    return f"{style} back" if is_back else style, 100 * place, printable(mark.name)
 
 
 def _data(plot: Plot) -> dict[str, Any]:

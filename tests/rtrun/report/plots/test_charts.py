@@ -63,6 +63,37 @@ def test_nothing_measured_is_lost_in_a_plot(tmp_path):
     assert np.argwhere(cells.counts[-1]).ravel().tolist() == [np.searchsorted(cells.x_edges, 4000, "right") - 1]
 
 
+def test_messages_that_never_came_leave_a_gap_and_count_as_late(tmp_path):
+    message_run(tmp_path, "a", [latencies(5000, 1)], lost=tuple(range(1000, 5000)))
+    made = plots_of(tmp_path, deadline_ns=400_000)
+    along, cells = made["course"].x.scale, made["over-time"].cells
+    assert (along.low, along.high) == (1, 5000)
+    (area, dots, _) = made["course"].marks
+    assert max(*area.x, *dots.x) <= 1021, "a column of 21 loops begins before the first that is missing"
+    assert cells.x_edges[-1] == 5000 and cells.counts.sum(axis=0)[12:].sum() == 0 and cells.counts.sum() == 999
+    measured = made["shares"].marks[0]
+    assert measured.y[-1] == pytest.approx(4000 / 4999) and "never came" in made["shares"].caption
+
+
+def test_values_after_a_gap_are_drawn_apart(tmp_path):
+    message_run(tmp_path, "a", [latencies(5000, 1)], lost=tuple(range(1000, 2000)))
+    course = plots_of(tmp_path)["course"]
+    (before, after) = [(mark.x[0], mark.x[-1]) for mark in course.marks if mark.kind == "area"]
+    assert before[1] < after[0] and after[1] == 5000
+    assert [kind for kind, _, _ in drawn(course).keys] == ["area", "dots"], "one key for both parts"
+
+
+@pytest.mark.parametrize(("deadline_us", "style"), [(90, "upright"), (300, "upright back"), (400, "upright back")])
+def test_a_deadline_is_named_on_the_side_where_there_is_place(tmp_path, deadline_us, style):
+    oneshot_run(tmp_path, "a", latencies(5000, 1))
+    made = plots_of(tmp_path, deadline_ns=1000 * deadline_us)
+    ((told, place, name),) = drawn(made["values"]).limits
+    assert (told, name) == (style, f"deadline {deadline_us} us") and 0 < place <= 100
+    assert not any("deadline" in name for _, _, name in drawn(made["values"]).keys)
+    ((told, _, _),) = drawn(made["course"]).limits
+    assert told == ("level" if deadline_us == 90 else "level back")
+
+
 def test_counts_have_colours_once(tmp_path):
     cyclic_run(tmp_path, "a", latencies(40, 1))
     page = drawn(plots_of(tmp_path)["over-time"])
