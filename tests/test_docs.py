@@ -135,6 +135,14 @@ def test_what_one_begins_with_is_short() -> None:
     assert [page.name for page, lines in most.items() if len(page.read_text().splitlines()) > lines] == []
 
 
+def test_long_pages_begin_with_an_index() -> None:
+    """Nobody reads them from the top. The site build checks that the links lead somewhere."""
+    for page in PAGES:
+        if len(lines := page.read_text().splitlines()) > 250:
+            links = re.findall(r"\]\(#[^)]+\)", page.read_text().split("\n\n")[1])
+            assert len(links) == sum(line.startswith("## ") for line in lines), page.name
+
+
 def test_the_readme_links_to_what_is_there() -> None:
     """The links of the other pages are those of the site: `make docs`."""
     for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", (TOP / "README.md").read_text()):
