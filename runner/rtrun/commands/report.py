@@ -36,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the verdicts, and write the report. Raises UsageError when there is nothing to report on."""
-    from rtfiles.errors import UsageError
-    from rtfiles.output import console, print_bytes, print_line, print_note, print_status
+    from rtfiles.errors import InfrastructureError, UsageError
+    from rtfiles.output import console, counted, print_bytes, print_line, print_note, print_status
     from rtrun.judgement import gate
     from rtrun.report import formats, page, screen, sentences
     from rtrun.report.contents import contents
@@ -82,7 +82,11 @@ def run(args: argparse.Namespace) -> int:
     logs = [
         log for place in analysed.source.folders for log in sorted(place.glob("*.log")) if log.name != "console.log"
     ]
-    for trouble in pictures.draw_all(logs or ([args.results] if args.results.suffix == ".log" else [])):
+    try:
+        not_drawn = pictures.draw_all(logs or ([args.results] if args.results.suffix == ".log" else []))
+    except InfrastructureError as error:
+        not_drawn = [f"{counted(len(logs), 'log')}: {error}"]
+    for trouble in not_drawn:
         print_note(f"not drawn: {trouble}")
     if format_ == "html":
         _offer(output, opens=args.open)

@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
         data = {"schema": 1, "deadline_ns": deadline_ns, "changes": [as_data(trend) for trend in shown]}
         print_json(data)
         return 0
-    boots = sum(len(one.boots()) for one in known)
+    boots = len({run.boot for one in known for run in one.runs})
     missed = sum(one.off_rate for one in known)
     left_out = f", without {counted(missed, 'run')} that missed the rate that was asked for" if missed else ""
     rests_on = f"{counted(len(known), 'course')}, of {counted(boots, 'boot')}{left_out}"

@@ -178,7 +178,9 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
         return f"{more}then keep it so: {gate}" if more else f"keep it so: {gate}"
     if answers and answers <= {Answer.PROVEN, Answer.IF_INDEPENDENT}:
         return "measure with samples, which show whether late values come in bursts; histograms and logs cannot"
-    return f"see {'the scenarios below for what is missing' if made else 'below why it could not be analysed'}"
+    if answers == {Answer.NO_DEADLINE}:
+        return "say which values are late: rtrun report RESULTS --deadline TIME"
+    return f"see {'what is missing in each scenario' if made else 'why it could not be analysed'}"
 
 
 def _facts(study: Study) -> list[tuple[str, str]]:

@@ -6,6 +6,7 @@ import pytest
 from report.campaigns import cyclic_run, latencies, oneshot_run, write_log
 
 from rtfiles.errors import InfrastructureError, UsageError
+from rtrun.cli import main
 from rtrun.report.plots import pictures
 
 JPEG = b"\xff\xd8\xff"
@@ -78,6 +79,13 @@ def test_without_gnuplot_the_remedy_is_told(log, monkeypatch):
     with pytest.raises(InfrastructureError, match="apt-get install gnuplot"):
         pictures.draw(log)
     assert [path.name for path in log.parent.iterdir()] == [log.name]
+
+
+def test_a_report_needs_no_gnuplot(log, monkeypatch, capsys):
+    monkeypatch.setenv("PATH", "/nonexistent")
+    assert main(["report", str(log)]) == 0
+    printed, told = capsys.readouterr()
+    assert printed.splitlines()[-1].startswith("file://") and "apt-get install gnuplot-nox" in told
 
 
 def test_a_report_of_samples_without_logs_draws_nothing(tmp_path):
