@@ -18,11 +18,14 @@ SCRIPT = Path(__file__).parents[2] / "on_target" / "check_rt.sh"
 
 Severity = Literal["fatal", "high", "medium", "info"]
 SEVERITIES: tuple[Severity, ...] = ("fatal", "high", "medium", "info")
+Status = Literal["ok", "fault", "unknown"]
 # A target with a finding of one of these severities is not ready.
 GRAVE: frozenset[Severity] = frozenset({"fatal", "high"})
 # The most lines of a fact that are shown, and their length.
 SHOWN_LINES = 4
 SHOWN_CHARACTERS = 100
+# How check_rt.sh begins a line that says what it could not see.
+UNSEEN = "unseen: "
 
 
 class Check(Config):
@@ -71,7 +74,7 @@ class CheckResult:
     """The result of a check: `evidence` are the lines at fault, or the reason why it is unknown."""
 
     check: Check
-    status: Literal["ok", "fault", "unknown"]
+    status: Status
     evidence: tuple[str, ...]
 
 
@@ -111,16 +114,21 @@ def is_ready(findings: list[CheckResult]) -> bool:
 
 
 def _judge(check: Check, lines: list[str]) -> CheckResult:
-    lines = [line for line in lines if line]
+    unseen = [line.removeprefix(UNSEEN) for line in lines if line.startswith(UNSEEN)]
+    lines = [line for line in lines if line and not line.startswith(UNSEEN)]
     if not lines:
-        if check.absent == "ok":
-            return CheckResult(check=check, status="ok", evidence=())
-        return CheckResult(check=check, status="unknown", evidence=(f"the target does not show its {check.fact}",))
+        if check.absent == "unknown":
+            unseen = [*unseen, f"the target does not show its {check.fact}"]
+        return _result(check, "unknown" if unseen else "ok", unseen)
     if check.some is not None:
         good = any(re.search(check.some, line) for line in lines)
         bad = [] if good else lines
     else:
         bad = [line for line in lines if re.search(str(check.none), line)]
-    return CheckResult(
-        check=check, status="fault" if bad else "ok", evidence=tuple(line[:SHOWN_CHARACTERS] for line in bad)
-    )
+    if bad:
+        return _result(check, "fault", bad)
+    return _result(check, "unknown" if unseen else "ok", unseen)
+
+
+def _result(check: Check, status: Status, lines: list[str]) -> CheckResult:
+    return CheckResult(check=check, status=status, evidence=tuple(line[:SHOWN_CHARACTERS] for line in lines))
