@@ -177,6 +177,11 @@ def _tools(link: Link, scripts: PurePosixPath, runs: Sequence[Run], kernel_confi
     needs = set(tools)
     for run in runs:
         needs |= conditions.needs(run.condition, run.settings)
+        needs |= {
+            f"option={run.suite} {option.flag} {option.since}"
+            for key, value in run.parameters.items()
+            if value is not None and (option := suites.options().get(key)) and option.since
+        }
     if priority := _highest_priority(runs):
         needs.add(f"rt_priority={priority}")
     lacks = []

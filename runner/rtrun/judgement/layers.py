@@ -19,7 +19,7 @@ from rtrun.targets.inspection.platform import Platform
 # Parameters that belong to one layer; all others must be the same in both.
 _OF_A_LAYER = {
     *("timeout_us", "interval_us", "frequency_hz", "busy_mode", "threads", "payload_bytes", "subscribers"),
-    *("middleware", "start_delay_s", "cpu_dma_latency_us"),
+    *("middleware", "start_delay_s", "cpu_dma_latency_us", "deepest_idle_state"),
 }
 # For one measurement through two middlewares, these must be the same, too.
 _OF_A_MEASUREMENT = ("timeout_us", "frequency_hz", "payload_bytes", "subscribers")
@@ -43,14 +43,14 @@ def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
     differing = differing_in_layer(() if study.platform is Platform.EMULATED else study.groups)
     pairs = []
     for below, above in differing:
-        if _awake_us(below) == _awake_us(above):
+        if _kept_awake(below) == _kept_awake(above):
             attribution = attribute(
                 below.blocks,
                 above.blocks,
                 late_above_ns=study.question.deadline_ns if study.question.has_deadline else None,
                 confidence=study.question.confidence,
             )
-        elif any(_awake_us(below) == _awake_us(other) for low, other in differing if low.key == below.key):
+        elif any(_kept_awake(below) == _kept_awake(other) for low, other in differing if low.key == below.key):
             continue
         else:
             attribution = Attribution(added=(), refused=UNLIKE_IDLE)
@@ -111,9 +111,9 @@ def _differ_in_layer_alone(low: Group, high: Group) -> bool:
     return alike and means_known and one_thread and is_real_time(high.parameters) and bool(low.blocks and high.blocks)
 
 
-def _awake_us(group: Group) -> object:
-    """The latency at which idle CPUs were kept awake; None where they were free to sleep."""
-    return group.parameters.get("cpu_dma_latency_us")
+def _kept_awake(group: Group) -> object:
+    """How idle CPUs were kept awake: by which latency, or in which deepest idle state; None twice: they were not."""
+    return group.parameters.get("cpu_dma_latency_us"), group.parameters.get("deepest_idle_state")
 
 
 def _others(group: Group) -> dict[str, object]:

@@ -1,6 +1,7 @@
 #!/bin/sh
 # Print which of the needs this target lacks, one a line.
-#   missing.sh NEED...      NEED is the name of a tool, governor=NAME, irq_cpu=CPUS or rt_priority=NUMBER
+#   missing.sh NEED...      NEED is the name of a tool, governor=NAME, irq_cpu=CPUS, rt_priority=NUMBER or
+#                         "option=PROGRAM FLAG VERSION": PROGRAM takes FLAG, from VERSION on
 for need; do
     case $need in
     governor=*)
@@ -16,6 +17,13 @@ for need; do
     rt_priority=*)
         chrt -f "${need#*=}" true 2>/dev/null ||
             echo "the right to real-time priority ${need#*=} (root, or rtprio in /etc/security/limits.conf)"
+        ;;
+    option=*)
+        program=${need#option=} flag=${need#* }
+        program=${program%% *} version=${flag#* }
+        flag=${flag%% *}
+        "$program" --help 2>&1 | grep -q -e "$flag" ||
+            echo "the option $flag of $program ($version and later)"
         ;;
     *) command -v "$need" >/dev/null || echo "$need" ;;
     esac

@@ -25,7 +25,7 @@ from rtrun.plan.observation import (
     read_stream_deadline,
     read_subject,
 )
-from rtrun.plan.run import KernelName, Run, interleave, label, never_observed, order_by_kernel
+from rtrun.plan.run import KernelName, Run, idle_twice, interleave, label, never_observed, order_by_kernel
 from rtrun.plan.subject import SUITE_PROGRAMS
 from rtrun.plan.topology.others import OTHER_NODES
 from rtrun.plan.topology.planning import SUITE as TOPOLOGY
@@ -188,7 +188,8 @@ def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = No
         _check_goal(campaign, listed, top / "until", errors)
     if not errors and not listed:
         errors.append(f"{top / 'exclude'}: leaves no run")
-    errors += dict.fromkeys(f"{top}: {wrong}" for run in listed if (wrong := never_observed(run) or too_few(run)))
+    refusals = (never_observed(run) or too_few(run) or idle_twice(run) for run in listed)
+    errors += dict.fromkeys(f"{top}: {refusal}" for refusal in refusals if refusal)
     if errors:
         raise UsageError("\n".join(errors))
     width = max(3, len(str(len(listed))))

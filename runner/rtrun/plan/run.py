@@ -203,6 +203,17 @@ def _without_defaults(values: Mapping[str, suites.Value], defaults: Mapping[str,
     return {key: value for key, value in values.items() if key not in defaults or value != defaults[key]}
 
 
+def idle_twice(run: Run) -> str | None:
+    """Say why the idle states of a run are not as it asks for, or None."""
+    state, awake_us = (run.parameters.get(key) for key in ("deepest_idle_state", "cpu_dma_latency_us"))
+    if state is None or awake_us is None:
+        return None
+    return (
+        f"deepest_idle_state {state} would change nothing while cpu_dma_latency_us {awake_us} keeps all idle CPUs "
+        "awake: give cpu_dma_latency_us: null"
+    )
+
+
 def never_observed(run: Run) -> str | None:
     """Say why a run can never be valid: the sampler does not observe it, or the run ends too early; None: it can."""
     suite = suites.suite(run.suite)

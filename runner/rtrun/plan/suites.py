@@ -58,6 +58,8 @@ class Option(Config):
     default: Value
     help: str
     flag: str = ""
+    since: str = ""
+    """The version that first took it, where targets may have an older one: their program is asked by its --help."""
     environment: str = ""
     """The environment variable that passes it instead of a flag."""
     preload: str = ""

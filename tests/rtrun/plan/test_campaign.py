@@ -249,6 +249,14 @@ def test_bad_conditions(tmp_path, text, message):
         read_campaign(write(tmp_path, f"runs: [{{suite: cyclic_timer_tests, {text}}}]\n"))
 
 
+def test_idle_states_are_shut_in_one_way(tmp_path):
+    asked = "runs: [{suite: cyclictest, deepest_idle_state: [-1, 1]%s}]\n"
+    with pytest.raises(UsageError, match=r"-1 would change nothing .* 0 keeps .*: give cpu_dma_latency_us: null"):
+        read_campaign(write(tmp_path, asked % ""))
+    _, runs = read_campaign(write(tmp_path, asked % ", cpu_dma_latency_us: null"))
+    assert [run.parameters["deepest_idle_state"] for run in runs] == [-1, 1]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

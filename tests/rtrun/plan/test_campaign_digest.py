@@ -63,6 +63,12 @@ def test_another_campaign_has_another_digest(change):
     assert digest_of(runs_of(**change)) != digest_of(runs_of())
 
 
+def test_an_option_that_came_later_changes_nothing():
+    (run,) = plan(Campaign(schema=1, name="test", runs=[{"suite": "cyclictest"}]), "test")
+    before = {key: value for key, value in run.parameters.items() if key != "deepest_idle_state"}
+    assert before != run.parameters and digest_of([run]) == digest_of([dataclasses.replace(run, parameters=before)])
+
+
 def test_what_cyclictest_did_by_itself_changes_nothing():
     entry = {"suite": "cyclictest", "cpu_dma_latency_us": [0, None]}
     awake, asleep = plan(Campaign(schema=1, name="test", runs=[entry]), "test")

@@ -62,4 +62,7 @@ def test_cyclictest_keeps_idle_cpus_awake_unless_it_is_told_not_to():
     for value, word in ((None, "--laptop"), (7, "--latency=7")):
         words = argv("cyclictest", "cyclictest", {"cpu_dma_latency_us": value})
         assert [each for each in words if each.startswith("--la")] == [word]
+    assert not [word for word in words if "idle-state" in word], "older ones do not know it"
+    words = argv("cyclictest", "cyclictest", {"cpu_dma_latency_us": None, "deepest_idle_state": -1})
+    assert words[-2:] == ["--laptop", "--deepest-idle-state=-1"]
     assert argv("cyclic_timer_tests", "cyclic_timer_tests", {"cpu_dma_latency_us": 0})[1:] == ["--cpu-dma-latency", "0"]

@@ -68,6 +68,19 @@ def test_idle_cpus_must_have_been_alike(write, tmp_path):
     assert "cpu_dma_latency_us=0" in made.rows[0][1]
 
 
+def test_idle_states_shut_for_the_baseline_alone(write, tmp_path):
+    """cyclictest alone can shut deeper idle states: nothing that a suite measures compares with it."""
+    write("a", TIMER, MESSAGES)
+    timer = next(group for group in study(tmp_path, bounds=False).groups if group.suite == "oneshot_timer_tests")
+    bare = replace(
+        timer, suite="cyclictest", parameters={"policy": "RR", "interval_us": 10_000, "deepest_idle_state": 0}
+    )
+    assert len(differing_in_layer([bare, timer])) == 1
+    analysed = replace(study(tmp_path, bounds=False), groups=(bare, timer))
+    (pair,) = layer_pairs(analysed)
+    assert "idle CPUs were kept awake in one" in (pair.attribution.refused or "")
+
+
 @pytest.mark.parametrize(
     ("parameters", "record"),
     [

@@ -111,6 +111,16 @@ def test_probe(tmp_path, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out)["target"] == "here (this machine)"
 
 
+def test_an_option_is_asked_of_the_program_that_is_to_take_it(tmp_path):
+    (tmp_path / "newer").write_text("#!/bin/sh\necho '  --deepest-idle-state=n' >&2\nexit 1\n")
+    (tmp_path / "newer").chmod(0o755)
+    needs = [f"option={name} --deepest-idle-state rt-tests 2.8" for name in (tmp_path / "newer", "ls", "no-such")]
+    done = subprocess.run(["sh", ON_TARGET / "missing.sh", *needs], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [
+        f"the option --deepest-idle-state of {name} (rt-tests 2.8 and later)" for name in ("ls", "no-such")
+    ]
+
+
 @pytest.mark.root("takes its rights away from a process of root's")
 def test_what_needs_root_is_said_in_a_line_each():
     needs = ["rt_priority=50", "irq_cpu=0", "sed"]
