@@ -19,7 +19,7 @@ from pages import COMMANDS, PAGES, TOP, commands, file_of, name_of
 from rtfiles.command import called_as, parser_of
 
 # Those of tests/test_tutorial.py and tests/suites/test_start_pages.py run there.
-RUN_THERE = ("docs/tutorial.md", *(f"docs/start/{name}.md" for name in ("board", "images", "lab", "nodes")))
+RUN_THERE = ("docs/tutorial.md", *(f"docs/start/{name}.md" for name in ("board", "control", "images", "lab", "nodes")))
 RUN_HERE = [page for page in PAGES if name_of(page) not in RUN_THERE]
 
 # Commands that are only parsed here, and why.

@@ -30,6 +30,7 @@ NOT_RUN = {
     "rtgen kconfig verify --machine arm64 --source": "a kernel tree; tests/rtgen/test_kconfig_verify.py",
     "rtgen suites build": "minutes; tests/suites/test_build_on.py",
     "rtrun quick --deadline 1ms --target robot.yml --middleware rcl": "a ROS 2 at /opt/ros; tests/suites/test_ros2.py",
+    "rtrun observe --target robot.yml --for 60s --deadline interval:": "a ros2_control; test_i_have_nodes measures one",
     "rtrun run campaigns/smoke.yml --targets labgrid:": "a farm; tests/integration/test_labgrid_boards.py",
 }
 SHORTER = {
@@ -37,6 +38,7 @@ SHORTER = {
     "rtrun quick": "rtrun quick --for 6s",
     "repetitions: 5000": "repetitions: 1500",
     "at_most: 10min": "at_most: 5s",
+    "middleware: rcl, trace": "middleware: roscpp, trace",
 }
 SMOKE = """schema: 1
 name: smoke
@@ -132,6 +134,15 @@ def test_i_have_nodes(checkout: Path, sshd: Sshd, cmd_vel: None) -> None:
         record = json.loads((run / "run.json").read_text())
         assert (record["status"], record["deadline_ns"]) == ("ok", 5_000_000), record["reason"]
     assert "messages /cmd_vel " in printed.partition("$ rtrun verdict")[2]
+
+
+@pytest.mark.root
+@pytest.mark.trace
+def test_i_have_a_control_loop(checkout: Path, sshd: Sshd) -> None:
+    (checkout / "beside.yml").write_text(shorter(file_of(TOP / "docs/start/control.md", "beside.yml")))
+    printed = follow("control.md", checkout, sshd.user)
+    assert "checks find fault" in printed.partition("$ rtrun check-rt")[2]
+    assert "timer" in printed.partition("$ rtrun why")[2] and (checkout / "results/beside/report.html").is_file()
 
 
 @pytest.mark.root
