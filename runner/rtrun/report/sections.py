@@ -9,6 +9,7 @@ from rtrun.judgement.study import Study
 from rtrun.judgement.topologies import MeasuredTopology
 from rtrun.kinds.lateness import LATENESS, Measure
 from rtrun.report import causes, influence, layers
+from rtrun.report.hardware_gaps import hardware_gaps
 from rtrun.report.late_paths import late_paths
 from rtrun.report.ranking import ranking
 from rtrun.report.run_facts import allocations, environment_table, reproduce
@@ -57,6 +58,7 @@ SECTIONS: tuple[Callable[[ReportInput], Table | None], ...] = (
     _influence,
     lambda of: causes.periods(of.study.source, of.judged)[0],
     lambda of: causes.surroundings(of.study.source, of.judged)[0],
+    lambda of: hardware_gaps(of.study),
     lambda of: worst_cases(of.study),
     lambda of: ranking(of.study),
     lambda of: layers.table(of.pairs, of.study.question.confidence),

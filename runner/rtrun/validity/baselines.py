@@ -1,6 +1,7 @@
 """The standard output of a baseline: checked, and kept as files that reports read."""
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 from rtfiles import atomic
@@ -11,6 +12,23 @@ from rtrun.results.importers import cyclictest
 from rtrun.results.importers.histogram_file import ENDING, histogram_text
 
 
+@dataclass(frozen=True, slots=True)
+class HardwareGaps:
+    """What hwlatdetect found: how many gaps above its threshold, and the longest in microseconds, 0 without one."""
+
+    found: int
+    longest_us: int
+
+
+def read_gaps(text: str) -> HardwareGaps | None:
+    """Read the standard output of hwlatdetect; None: it printed no result."""
+    longest = re.search(r"^Max Latency: (?:Below threshold|([0-9]{1,12})us)$", text, re.MULTILINE)
+    found = re.search(r"^Samples recorded: ([0-9]{1,12})$", text, re.MULTILINE)
+    if longest is None or found is None:
+        return None
+    return HardwareGaps(found=int(found[1]), longest_us=int(longest[1] or 0))
+
+
 def check_baseline_output(run: Run, text: str) -> str | None:
     """Say what does not add up in the standard output of a baseline, or None.
 
@@ -18,7 +36,9 @@ def check_baseline_output(run: Run, text: str) -> str | None:
     histogram or above it. On a busy target the others have then measured less.
     """
     if run.suite != "cyclictest":
-        return None if "Max Latency" in text else "hwlatdetect printed no result (a line with Max Latency)"
+        return (
+            None if read_gaps(text) else "hwlatdetect printed no result (lines with Max Latency and Samples recorded)"
+        )
     try:
         histograms = cyclictest.read_text(Path("cyclictest.stdout"), text, command=_command(run))
         for each in histograms:

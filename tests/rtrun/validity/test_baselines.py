@@ -1,12 +1,15 @@
 """What cyclictest and hwlatdetect print, taken at its word only as far as it adds up."""
 
 import re
+from pathlib import Path
 
 import pytest
 
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.results.importers.histogram_file import ENDING, read_histogram
-from rtrun.validity.baselines import check_baseline_output, keep_histograms
+from rtrun.validity.baselines import HardwareGaps, check_baseline_output, keep_histograms, read_gaps
+
+DATA = Path(__file__).parents[2] / "data"
 
 # As rt-tests 2.9 and later print it: no totals, and no rows of zeros.
 PRINTED = """# /dev/cpu_dma_latency set to 0us
@@ -122,5 +125,10 @@ def test_a_character_that_is_none_is_of_no_matter(tmp_path):
 
 
 def test_hwlatdetect_must_have_a_result():
-    assert check_baseline_output(run_of("hwlatdetect"), "Max Latency: Below threshold\n") is None
-    assert check_baseline_output(run_of("hwlatdetect"), "hwlatdetect:  test duration 3 seconds\n") is not None
+    result = (DATA / "unreadable/hwlatdetect.txt").read_text()
+    none = "Max Latency: Below threshold\nSamples recorded: 0\n"
+    for text, gaps in ((result, HardwareGaps(found=1, longest_us=14)), (none, HardwareGaps(found=0, longest_us=0))):
+        assert check_baseline_output(run_of("hwlatdetect"), text) is None
+        assert read_gaps(text) == gaps
+    for text in (result.partition("Max")[0], result.partition("Samples")[0], result.replace("14us", "9" * 40 + "us")):
+        assert check_baseline_output(run_of("hwlatdetect"), text) is not None
