@@ -238,7 +238,7 @@ def _list(args: argparse.Namespace, config: "TargetConfig", planned: "Run") -> i
         inspection.inspect(link)
         scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
         watched = observation.watch(link, scripts, planned.subject)
-        graph = read_graph(link, scripts, watched.found)
+        graph = read_graph(link, scripts, watched.ros_programs)
     print_status("")
     _print_list(watched, graph)
     return 0

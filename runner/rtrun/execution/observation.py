@@ -17,6 +17,8 @@ from rtrun.plan.observation import ObservationPlan
 from rtrun.probes import session
 from rtrun.probes.hits import ObservedProgram
 from rtrun.probes.libraries.description import events
+from rtrun.probes.loops import FUNCTIONS, LoopWatch
+from rtrun.probes.loops import THREADS_MAX as LOOPS_MAX
 from rtrun.probes.placement import Placement, place, refusals
 from rtrun.probes.programs import ObservableProgram, Roster, find_programs, left_out_in_words
 from rtrun.probes.session import Began, Finished
@@ -32,6 +34,7 @@ _FOR_PEOPLE = ("osnoise",)
 _KERNEL_EVENTS_PER_S = 80_000
 # A program that restarts is back within this time.
 GONE_NS = 10 * 10**9
+NOTHING = "no program runs there that uses ROS, and no thread with a real-time policy"
 KEPT_FIRST = "what was observed is kept first; Ctrl-C once more ends rtrun at once"
 # Recorded only for paths of topics and for causes of late values: each message has several of them.
 OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
@@ -39,12 +42,26 @@ OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Watched:
-    """The programs to observe on a target, and the probes for them."""
+    """The programs to observe on a target, the probes for them, and the loops to observe; None: there are none."""
 
     found: tuple[ObservableProgram, ...]
     placement: Placement
+    loops: LoopWatch | None = None
     left_out: int = 0
     """How many programs are not observed because there are too many at one time."""
+
+    @property
+    def ros_programs(self) -> tuple[ObservableProgram, ...]:
+        """Those that map a library with probes."""
+        return tuple(each for each in self.found if each.mapped)
+
+    def why_nothing(self, plan: ObservationPlan) -> str:
+        """Why there is nothing to observe; empty if there is something, or a program with a named loop may begin."""
+        if self.placement.probes or (
+            self.loops is not None and (plan.loops or len(self.ros_programs) < len(self.found))
+        ):
+            return ""
+        return "; ".join(refusals(self.placement.refused)) or NOTHING
 
 
 def _ignore(_seen: object) -> None:
@@ -95,6 +112,10 @@ class ObservationResult:
     def remarks(self) -> tuple[str, ...]:
         """What is missing in the observation, one sentence each."""
         lines = [*refusals(self.began.refused)]
+        lines += self.flows.loops.missing
+        if self.finished and self.finished.unfollowed:
+            more = counted(self.finished.unfollowed, "more thread")
+            lines.append(f"{more} with a loop to observe than {LOOPS_MAX}: they are not observed")
         if self.programs_left_out:
             lines.append(left_out_in_words(self.programs_left_out))
         if self.coverage.in_words:
@@ -115,11 +136,17 @@ class ObservationResult:
 def watch(link: Link, scripts: PurePosixPath, plan: ObservationPlan, *, trace: str = "") -> Watched:
     """Inspect a target without changing it, and resolve the probes for its programs. Raises TargetError."""
     wanted = [event for event in events() if plan.followed or trace or event not in OF_PATHS]
-    listing = find_programs(link, scripts)
+    listing = find_programs(link, scripts, plan.loops)
     found = listing.found
     if not found and link.check(["id", "-u"]).strip() != "0":
         raise TargetError(f"{link.target.address}: observing takes root: the programs of other users cannot be seen")
-    return Watched(found=found, placement=place(link, found, events=wanted), left_out=listing.left_out)
+    functions = kernel_trace.read_symbols(link, FUNCTIONS)
+    return Watched(
+        found=found,
+        placement=place(link, found, events=wanted),
+        loops=LoopWatch(names=plan.loops, functions=functions) if functions else None,
+        left_out=listing.left_out,
+    )
 
 
 def observe(
@@ -140,8 +167,7 @@ def observe(
     observe or the target cannot be observed; TargetRebooted and KeyboardInterrupt only before something was seen. After
     that, whatever ends the observation, what was seen is returned.
     """
-    if not watched.placement.probes:
-        nothing = "; ".join(refusals(watched.placement.refused)) or "no program runs there that uses ROS"
+    if nothing := watched.why_nothing(plan):
         raise TargetError(f"{link.target.address}: {nothing}")
     roster = Roster(watched.found, watched.left_out)
     flows: FlowAccumulator | None = None
@@ -158,6 +184,7 @@ def observe(
         watched.found,
         for_s=plan.for_s,
         kernel_events=[each for each in kernel_trace.read_events() if each not in _FOR_PEOPLE] if late else (),
+        loops=watched.loops,
         limit_per_s=session.LIMIT_PER_S + (_KERNEL_EVENTS_PER_S if late else 0),
     )
     try:
@@ -174,6 +201,7 @@ def observe(
                         recorder=onlooker.recorder,
                         on_turn=late.turn if late else None,
                         store=RowStore(folder),
+                        loops=watched.loops,
                     )
                     flows.observe(roster.alive)
                     figures = LiveFigures(flows, plan.deadlines, late.look if late else None)
@@ -188,6 +216,7 @@ def observe(
                 if late is not None:
                     late.record(each)
                 flows.feed([*each.hits, *each.gaps])
+                flows.loops.feed(each.kernel, each.gaps, each.realtime_offset_ns)
                 until_ns = each.until_ns
                 onlooker.on_second(figures.snapshot(each.until_ns))
                 if late is not None:

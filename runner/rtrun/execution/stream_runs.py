@@ -34,7 +34,7 @@ from rtrun.targets.inspection.facts import TargetState, fact_text
 _NAME_MAX = 100
 _NAMES_SHOWN = 8
 # Parameters that name programs.
-_PARTIES = ("publisher", "subscriber", "node", "sink")
+_PARTIES = ("publisher", "subscriber", "node", "sink", "program")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -52,7 +52,8 @@ def wait_ready(
         if plan.system.start:
             pids = processes.look(link, remote, SYSTEM).pids
             own = tuple(each for each in watched.found if each.program.pid in pids)
-        if own and not topic:
+        if not topic and (own or (plan.loops and not plan.system.start)):
+            # A program with a named loop may begin later.
             return None
         if own:
             published |= _published(link, scripts, watched, own, topic)
@@ -69,10 +70,10 @@ def _never_ready(
     if not own and is_started:
         return (
             f"waited {waited_s:g} s for a program of the system that can be observed: the command has started none "
-            "that uses ROS 2 or roscpp"
+            "that uses ROS 2 or roscpp, or has a thread with a real-time policy"
         )
     if not own:
-        return "no program runs there that uses ROS"
+        return observation.NOTHING
     names = sorted(published)
     seen = f"seen were {listed(names, _NAMES_SHOWN)}" if names else "nothing was seen to be published"
     return f"waited {waited_s:g} s for the system to publish {topic}: {seen}"

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from operator import itemgetter
 
 from rtrun.flows.calls import CallRecord
+from rtrun.flows.loops import LoopRecord
 from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.paths import PathRecord
 from rtrun.flows.process_table import ProcessTable
@@ -14,6 +15,7 @@ from rtrun.flows.timers import ClockOffsets
 from rtrun.flows.topics import TopicRecord
 from rtrun.flows.turns import Turn, TurnRecord
 from rtrun.probes.hits import GAPS_MAX, Gap, GapCause, Hit, ObservedProgram, joined
+from rtrun.probes.loops import LoopWatch
 
 HORIZON_NS = 10 * 10**9
 
@@ -28,6 +30,7 @@ class FlowAccumulator:
     A publication that nobody took within `horizon_ns` is forgotten; a later reception of it is unmatched. `paths` are
     topics in the order of their messages. What is finished goes to the `store`, 48 bytes a message, 16 a call.
     `on_turn` is called with each turn of a thread, once its end is known, or once it is clear that it was not seen.
+    `loops` has its own `feed`, of the kernel's events; it reads those that its parameter names.
     """
 
     def __init__(
@@ -39,6 +42,7 @@ class FlowAccumulator:
         recorder: FlowRecorder | None = None,
         on_turn: Callable[[Turn], None] | None = None,
         store: RowStore | None = None,
+        loops: LoopWatch | None = None,
     ) -> None:
         self.begin_ns = begin_ns
         self.newest_ns = self.until_ns = begin_ns
@@ -51,6 +55,7 @@ class FlowAccumulator:
         self.paths = PathRecord(paths, self.state.store)
         self.topics = TopicRecord(self.state, self.paths, horizon_ns, recorder)
         self.calls = CallRecord(self.state, recorder)
+        self.loops = LoopRecord(self.state, loops)
         self.turns = TurnRecord(on_turn, self.state) if on_turn is not None else None
         self._programs = ProcessTable(self.state)
         self._handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
@@ -62,7 +67,8 @@ class FlowAccumulator:
 
     def observe(self, programs: Iterable[ObservedProgram]) -> None:
         """Take all programs that run now: others have ended, and a pid may belong to a new program."""
-        self._programs.observe(programs)
+        running = tuple(programs)
+        self._programs.observe(running)
         # Of programs with the same name, the one that began first gets the first number, whichever has a hit first.
         begun = [
             (process.program.start_ticks, pid, process)
@@ -71,6 +77,7 @@ class FlowAccumulator:
         ]
         for *_, process in sorted(begun, key=itemgetter(0, 1)):
             self.state.label(process, process.label)
+        self.loops.observe(running)
 
     def offset(self, clock: str, at_ns: int, offset_ns: int) -> None:
         """Another clock was `offset_ns` ahead of the hits' clock when that showed `at_ns`; ``system`` is realtime."""
@@ -118,6 +125,7 @@ class FlowAccumulator:
         """End the feeds; there were no more hits until `until_ns`. Decide what waited for later hits."""
         self.until_ns = max(self.newest_ns, until_ns)
         self.topics.cut()
+        self.loops.finish()
 
     def open_calls(self) -> Iterator[tuple[CallbackLog, int]]:
         """The callbacks of living threads that have begun and not ended, and when they began."""

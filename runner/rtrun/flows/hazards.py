@@ -20,7 +20,7 @@ def hazards(programs: Sequence[ObservedProgram], *, with_pids: bool = True) -> t
 
 
 def _of(program: ObservedProgram, programs: Sequence[ObservedProgram]) -> Iterator[str]:
-    ordinary = [thread for thread in program.threads if not _is_real_time(thread)]
+    ordinary = [thread for thread in program.threads if not thread.is_real_time]
     if len(ordinary) == len(program.threads):
         yield "no thread is real-time: any other one may run before it"
     elif ordinary:
@@ -38,15 +38,11 @@ def _of(program: ObservedProgram, programs: Sequence[ObservedProgram]) -> Iterat
         yield f"on the same CPUs with a higher priority: {listed(above, _NAMED_MAX)}"
 
 
-def _is_real_time(thread: ProgramThread) -> bool:
-    return thread.policy in ("FIFO", "RR", "DEADLINE")
-
-
 def _may_delay(other: ProgramThread, thread: ProgramThread) -> bool:
     """Whether another thread comes before a real-time one on a CPU that both may use."""
-    if not _is_real_time(thread) or thread.policy == "DEADLINE" or not set(other.cpus) & set(thread.cpus):
+    if not thread.is_real_time or thread.policy == "DEADLINE" or not set(other.cpus) & set(thread.cpus):
         return False
-    return other.policy == "DEADLINE" or (_is_real_time(other) and other.priority > thread.priority)
+    return other.policy == "DEADLINE" or (other.is_real_time and other.priority > thread.priority)
 
 
 def _names(threads: Sequence[ProgramThread]) -> str:

@@ -121,7 +121,7 @@ class LiveFigures:
     ) -> None:
         self._observed = observed
         self._on_values = on_values
-        self._limits = {(deadline.stream, deadline.name): deadline.deadline_ns for deadline in deadlines}
+        self._deadlines = deadlines
         self._shown: dict[object, _Shown] = {}
         self._at_ns = observed.begin_ns
 
@@ -141,7 +141,7 @@ class LiveFigures:
 
     def _row(self, kind: StreamKind, source: StreamSource, passed_s: float) -> LiveRow:
         shown = self._shown.setdefault(source.record, _Shown(BinnedValues()))
-        limit_ns = self._limits.get((kind, source.name))
+        limit_ns = self._limit_ns(kind, source)
         new = source.since(shown.rows)
         if new.rows < shown.rows:
             # What was taken for its values was none.
@@ -166,6 +166,11 @@ class LiveFigures:
             deadline_ns=limit_ns,
             misses=None if limit_ns is None else figures.misses + shown.skipped,
         )
+
+    def _limit_ns(self, kind: StreamKind, source: StreamSource) -> int | None:
+        of_kind = [each for each in self._deadlines if each.stream is kind]
+        identity = source.identity if of_kind else {}
+        return next((each.deadline_ns for each in of_kind if kind.is_named(each.name, identity)), None)
 
     def _remarks(self) -> Iterator[str]:
         observed = self._observed

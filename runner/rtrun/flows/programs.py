@@ -2,16 +2,14 @@
 
 import re
 from collections import Counter
-from collections.abc import Hashable, Sequence
-from pathlib import PurePosixPath
+from collections.abc import Hashable
 from typing import Any, Generic, Protocol, TypeVar
 
-from rtrun.probes.hits import ObservedProgram
+from rtrun.probes.hits import ObservedProgram, script_of
 from rtrun.probes.libraries.description import libraries
 
 T = TypeVar("T")
 _REMAPPED = re.compile(r"(?:[^:=]*:)?__(node|name|ns):=(.*)", re.DOTALL)
-_INTERPRETER = re.compile(r"python[0-9.]*")
 
 # The name of a topic, a node or a namespace. ROS 2 allows 255.
 NAME_CHARACTERS_MAX = 512
@@ -157,7 +155,7 @@ def _told_label(program: ObservedProgram) -> str:
     for word in program.argv:
         if match := _REMAPPED.fullmatch(word):
             told.setdefault("ns" if match[1] == "ns" else "name", set()).add(match[2])
-    script = _script(program.argv) or program.name
+    script = script_of(program.argv) or program.name
     names, spaces = told.get("name", set()), told.get("ns", set())
     if not names and len(spaces) == 1:
         # The code mostly names a node like its program.
@@ -165,18 +163,6 @@ def _told_label(program: ObservedProgram) -> str:
     if len(names) == 1 and len(spaces) <= 1:
         return full_name(next(iter(names)), next(iter(spaces), ""))
     return script
-
-
-def _script(argv: Sequence[str]) -> str:
-    if not argv:
-        return ""
-    name = PurePosixPath(argv[0]).name
-    if not _INTERPRETER.fullmatch(name):
-        return name
-    words = list(argv[1:])
-    if "-m" in words[:-1]:
-        return words[words.index("-m") + 1]
-    return next((PurePosixPath(word).name for word in words if not word.startswith("-")), name)
 
 
 def full_name(name: str, namespace: str) -> str:

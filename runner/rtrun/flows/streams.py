@@ -15,7 +15,7 @@ from rtrun.results.columns import NoRoom
 
 # Each kind that probes see has a module by its word.
 OBSERVED = tuple(
-    cast("ObservedKind", import_module(f"rtrun.flows.observed.{word}"))
+    cast("ObservedKind", import_module(f"rtrun.flows.observed.{word.replace('-', '_')}"))
     for word, kind in STREAMS.items()
     if not kind.is_of_topologies
 )

@@ -34,6 +34,8 @@ class StreamKind:
     `word` precedes the name of a stream. A stream is written as a run of `suite`, which `summary` describes, with these
     `columns`. A deadline names a stream by its parameter `named_by`; with `is_plain`, without the word.
 
+    With `narrowed_by`, another parameter, a deadline may name a stream by both: NAME/THREAD.
+
     `words` are templates of what tells a stream from others; a template is left out if the stream lacks one of its
     parameters. `begins_with` is a parameter that begins with what the stream is, and is used instead of the word.
     `hidden` are parameters that the words show in another way, `usual` are values that go without saying.
@@ -55,6 +57,7 @@ class StreamKind:
     named_by: str
     at: str
     words: tuple[str, ...]
+    narrowed_by: str = ""
     is_plain: bool = False
     begins_with: str = ""
     hidden: tuple[str, ...] = ()
@@ -79,6 +82,11 @@ class StreamKind:
     def name(self, name: str) -> str:
         """A stream as a deadline names it."""
         return name if self.is_plain else f"{self.word}:{name}"
+
+    def is_named(self, name: str, parameters: Mapping[str, object]) -> bool:
+        """Whether a deadline with this name is for a stream with these parameters."""
+        told = str(parameters.get(self.named_by))
+        return name == told or (bool(self.narrowed_by) and name == f"{told}/{parameters.get(self.narrowed_by)}")
 
     def in_words(self, parameters: Mapping[str, object]) -> tuple[str, frozenset[str]]:
         """A stream in a few words, and the parameters that these words show, if the stream has them."""

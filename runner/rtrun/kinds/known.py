@@ -1,6 +1,6 @@
 """All kinds of measurement, by their names in suites.yml."""
 
-from rtrun.kinds import age, callback, cyclic, interval, messages, oneshot, path, response, timer
+from rtrun.kinds import age, callback, cyclic, interval, loop, loop_response, messages, oneshot, path, response, timer
 from rtrun.kinds.kind import LogForm, MeasurementKind, StreamKind
 from rtrun.kinds.lateness import Measure
 
@@ -14,6 +14,8 @@ KINDS: dict[str, MeasurementKind] = {
     "path": path.KIND,
     "response": response.KIND,
     "age": age.KIND,
+    "loop": loop.KIND,
+    "loop-response": loop_response.KIND,
 }
 STREAMS: dict[str, StreamKind] = {kind.stream.word: kind.stream for kind in KINDS.values() if kind.stream}
 """The kinds of streams, by their words."""

@@ -1,7 +1,9 @@
 #!/bin/sh
-# Print the processes that map a file whose path matches, and their threads. probes/programs.py reads it.
+# Print the processes that map a file whose path matches, those with threads that find_threads.sh finds, and the threads of
+# all of them. probes/programs.py reads it.
 #
-#   find_programs.sh PATTERN [-]     PATTERN as of grep -E; with -, standard input names the processes, a pid a line
+#   find_programs.sh PATTERN [NAMES]   PATTERN as of grep -E; NAMES as of find_threads.sh
+#   find_programs.sh PATTERN -         standard input names the processes, a pid a line
 #
 # For each process, between lines "program PID" and "end PID": parts of its files in /proc, each line behind a word that
 # says of which. What ends meanwhile has less of them. Names and arguments are bytes of any kind and, some of them, any
@@ -10,10 +12,18 @@ pattern=$1
 export LC_ALL=C
 case ${2-} in
 -) cat ;;
-*) for process in /proc/[0-9]*; do echo "${process#/proc/}"; done ;;
-esac | sed 's,.*,/proc/&/maps,' | xargs grep -lsE -- "$pattern" | while IFS=/ read -r _ _ pid _; do
+*)
+    processes=$(printf '%s\n' /proc/[0-9]*)
+    {
+        printf '%s\n' "$processes" | sed 's,$,/maps,' | xargs grep -lsE -- "$pattern" | sed 's,^/proc/\([0-9]*\)/.*,\1,'
+        printf '%s\n' "$processes" | "${0%/*}/find_threads.sh" "${2-}" | sed 's, .*,,'
+    } | sort -un
+    ;;
+esac | while read -r pid; do
     cd "/proc/$pid" || continue
     echo "program $pid"
+    # Its name without the folder: a newline is the character 1, as in arguments.
+    file=$(readlink exe) && printf 'file %s\n' "$(printf '%s' "${file##*/}" | tr '\n' '\001')"
     # An argument is a line, in which a newline is the character 1: "argument", or "cut" with its beginning. What names
     # a node is whole wherever it stands, of the others there are the first 4096 bytes. The arguments of a program may
     # be some MiB; more than 16 MiB are read of none.

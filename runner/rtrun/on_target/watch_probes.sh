@@ -12,8 +12,10 @@
 #       EVENT      of the kernel, below `events` in tracefs, recorded as well; left out where the kernel does not have it
 #
 # Standard input: a line "p NAME SHA256 PATH:OFFSET ARGUMENT..." for each probe, "watch PID..." for the programs
-# whose threads are to be told, "go"; then a line now and then, as long as the probes are to stay. SHA256 is of the first
-# 64 MiB of the file at PATH.
+# whose threads are to be told, "loops ADDRESS..." where loops are to be observed, "go"; then a line now and then, as long
+# as the probes are to stay. SHA256 is of the first 64 MiB of the file at PATH. ADDRESS is of a function of the kernel that
+# the timer of a sleeping thread calls. "name NAME" is a name for find_threads.sh, in which a blank is the character 1.
+# Of loops the events in $loop_events are recorded, for their threads alone unless there is an EVENT.
 #
 # The names of trace and probes tell which process takes them off: "rtrun-observe-" and "rtrun_observe_", then its
 # namespace, pid and start time. What a killed one has left is removed at the next start; other names are left alone.
@@ -41,6 +43,11 @@ seconds=$1 silence=$2 buffer_kb=$3 limit=$4 pattern=$5
 shift 5
 events=$*
 tracing=/sys/kernel/tracing
+# What a sleep and its end are read from (probes/loop_events.py).
+loop_events="timer/hrtimer_start timer/hrtimer_expire_entry sched/sched_waking sched/sched_switch"
+is_filtered=
+# The events of so many threads: the kernel takes a filter of a page.
+followed_max=100
 # Whoever reads may go away: a failed print ends what prints, not this.
 trap '' PIPE
 
@@ -188,14 +195,72 @@ print_programs() {
     fi
     [ -z "$young" ] || found=$(printf '%s\n' "$young" | sed 's,:.*,/maps,' | xargs grep -lsE -- "$pattern" |
         sed 's,^/proc/\([0-9]*\)/.*,\1,')
+    find_loops
+    for pid in $changed; do
+        # Those that are watched were asked above if the list of their threads is another one.
+        case " $asked " in *" $pid "*) continue ;; esac
+        case " $watched " in *" $pid "*) asked="$asked $pid" ;; *) found="$found $pid" ;; esac
+    done
     # shellcheck disable=SC2086 # numbers
-    set -- $asked $found
+    set -- $(printf '%s\n' $asked $found | awk '!seen[$0]++')
     [ $# -gt 0 ] || return 0
     # shellcheck disable=SC2086
-    [ -z "$found" ] || watched="$watched $(echo $found)"
+    [ -z "$found" ] || watched="$watched $(printf '%s\n' $found | awk -v watched=" $watched " '
+        !seen[$0]++ && !index(watched, " " $0 " ")' | tr '\n' ' ')"
     echo "programs"
     printf '%s\n' "$@" | "$scripts/find_programs.sh" "$pattern" -
     echo "rtrun end programs"
+}
+
+# An interrupt records which thread it interrupts, so its event is told by the function that the timer calls.
+filter_functions() {
+    filter=
+    for each in $functions; do filter="${filter:+$filter || }function == 0x$each"; done
+    echo "$filter" >"$instance/events/timer/hrtimer_expire_entry/filter"
+} 2>/dev/null
+
+# Record the events of these threads alone, each PID:TID. No thread has the number 4194305.
+filter_threads() {
+    any=4194305
+    filter="common_pid==$any" waking="pid==$any" switch="prev_pid==$any"
+    for each; do
+        tid=${each#*:}
+        filter="$filter||common_pid==$tid"
+        waking="$waking||pid==$tid"
+        switch="$switch||prev_pid==$tid||next_pid==$tid"
+    done
+    echo "$filter" >"$instance/events/timer/hrtimer_start/filter"
+    echo "$waking" >"$instance/events/sched/sched_waking/filter"
+    echo "$switch" >"$instance/events/sched/sched_switch/filter"
+} 2>/dev/null
+
+# Find the threads whose loops are observed, in all processes now and then, else in those that are new or have new
+# threads. Sets `changed` to the processes whose threads of that kind are others than before.
+find_loops() {
+    changed=
+    [ -n "$functions" ] || return 0
+    if [ $((number % 5)) -eq 1 ]; then
+        now_followed=$(printf '%s\n' /proc/[0-9]* | "$scripts/find_threads.sh" "$names" | tr ' ' ':')
+    else
+        [ -n "$young$asked" ] || return 0
+        # shellcheck disable=SC2086 # numbers
+        now_followed=$(printf '%s\n' $threads
+            { printf '%s\n' "$young" | sed 's,:.*,,' && printf '/proc/%s\n' $asked; } |
+                "$scripts/find_threads.sh" "$names" | tr ' ' ':')
+    fi
+    now_followed=$(printf '%s\n' "$now_followed" | awk 'NF && !seen[$0]++')
+    [ "$now_followed" != "$threads" ] || return 0
+    changed=$(printf '%s\n' old $threads new $now_followed | awk -F: '
+        /^[a-z]/ { part = $0; next }
+        part == "old" { old[$0] = 1; next }
+        { if ($0 in old) delete old[$0]; else changed[$1] }
+        END { for (each in old) { split(each, ids, ":"); changed[ids[1]] } for (pid in changed) print pid }')
+    threads=$now_followed
+    # shellcheck disable=SC2086
+    set -- $threads
+    if [ $# -gt $followed_max ]; then echo "unfollowed $(($# - followed_max))"; fi
+    # shellcheck disable=SC2046,SC2086
+    [ -z "$is_filtered" ] || filter_threads $(printf '%s\n' $threads | head -n $followed_max)
 }
 
 # Above the limit the events are switched off for so long that the mean is below it.
@@ -306,7 +371,6 @@ tell() {
 [ -d $tracing/instances ] || mount -t tracefs tracefs $tracing 2>/dev/null ||
     fail "no kernel trace: it needs CONFIG_FTRACE, tracefs on $tracing, and root"
 [ -w $tracing/trace_marker ] || fail "no kernel trace: observing takes root"
-[ -e $tracing/uprobe_events ] || fail "no probes: the target's kernel is built without CONFIG_UPROBE_EVENTS"
 namespace=$(readlink /proc/self/ns/pid)
 namespace=${namespace##*[}
 namespace=${namespace%]}
@@ -342,10 +406,14 @@ page_bytes=$((data_bytes + $(sed -n 's,.*field: *char data;.*offset:\([0-9]*\);.
 watched=
 is_told=
 opened=
+functions=
+names=
 processes=$(echo /proc/[0-9]*)
+threads=
 while read -r word one two three rest; do
     case $word in
     p)
+        [ -e $tracing/uprobe_events ] || fail "no probes: the target's kernel is built without CONFIG_UPROBE_EVENTS"
         if ! open_library "$two" "${three%:*}"; then
             echo "refused $one its file was replaced while the program runs: restart the program"
             continue
@@ -370,11 +438,20 @@ while read -r word one two three rest; do
         print_formats "$instance/events/$group/$one/format"
         ;;
     watch) watched="$one $two $three $rest" ;;
+    loops) functions="$one $two $three $rest" ;;
+    name) names="${names:+$names
+}$(printf '%s' "$one" | tr '\001' ' ')" ;;
     go) is_told=1 && break ;;
     esac
 done
 exec 5<&-
 [ -n "$is_told" ] || exit 3
+if [ -n "$functions" ] && [ -z "$events" ]; then
+    is_filtered=1
+    events=$loop_events
+    filter_functions
+    filter_threads
+fi
 for event in $events; do
     if [ -e "$instance/events/$event/format" ]; then
         print_formats "$instance/events/$event/format"

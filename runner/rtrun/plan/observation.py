@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 from rtfiles.wording import did_you_mean, unknown
 from rtrun.kinds.kind import StreamKind
 from rtrun.kinds.known import STREAMS
+from rtrun.kinds.loop import STREAM as LOOP
+from rtrun.kinds.loop_response import STREAM as LOOP_RESPONSE
 from rtrun.kinds.messages import STREAM as MESSAGES
 from rtrun.kinds.path import STREAM as PATH
 from rtrun.plan.quantities import read_time_ns
@@ -52,7 +54,7 @@ class StreamDeadline:
 
     def is_of(self, suite: str, parameters: "Mapping[str, Value]") -> bool:
         """Whether a stream has this deadline."""
-        return suite == self.stream.suite and parameters.get(self.stream.named_by) == self.name
+        return suite == self.stream.suite and self.stream.is_named(self.name, parameters)
 
 
 def read_stream_deadline(text: object) -> StreamDeadline:
@@ -140,6 +142,11 @@ class ObservationPlan:
     system: ObservedSystem = ObservedSystem()
     deadlines: Sequence[StreamDeadline] = ()
     paths: Sequence[tuple[str, ...]] = ()
+
+    @property
+    def loops(self) -> tuple[str, ...]:
+        """The names of loops that have a deadline."""
+        return tuple(dict.fromkeys(each.name for each in self.deadlines if each.stream in (LOOP, LOOP_RESPONSE)))
 
     @property
     def followed(self) -> tuple[tuple[str, ...], ...]:

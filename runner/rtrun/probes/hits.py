@@ -1,10 +1,13 @@
 """What the probes saw: the types that pass from a target's trace to whoever reads messages and timers from it."""
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import PurePosixPath
 from typing import NamedTuple
 
+_INTERPRETER = re.compile(r"python[0-9.]*")
 GAPS_MAX = 10_000
 """The highest number of gaps of one cause in an observation; beyond that, gaps that lie close together become one."""
 
@@ -105,13 +108,18 @@ class ProgramThread:
     priority: int
     cpus: tuple[int, ...]
 
+    @property
+    def is_real_time(self) -> bool:
+        return self.policy in ("FIFO", "RR", "DEADLINE")
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObservedProgram:
-    """A process that maps a library with probes; `start_ticks` tells it from a later one of the same pid.
+    """A process that maps a library with probes, or whose loops are observed.
 
-    `locked_bytes` is its locked memory (VmLck). `libraries` are the target's paths of the libraries with probes that it
-    maps.
+    `start_ticks` tells it from a later process of the same pid. `file` is the name of the file that it runs, without
+    the folder. `locked_bytes` is its locked memory (VmLck). `libraries` are the target's paths of the libraries with
+    probes that it maps.
     """
 
     pid: int
@@ -121,3 +129,24 @@ class ObservedProgram:
     locked_bytes: int
     libraries: tuple[str, ...]
     threads: tuple[ProgramThread, ...]
+    file: str = ""
+
+    @property
+    def file_name(self) -> str:
+        """The name of its file; of a script for an interpreter, that of the script."""
+        if _INTERPRETER.fullmatch(self.file):
+            return script_of((self.file, *self.argv[1:])) or self.file
+        return self.file or self.name
+
+
+def script_of(argv: Sequence[str]) -> str:
+    """The name of a program by its command line: of a script for an interpreter, that of the script."""
+    if not argv:
+        return ""
+    name = PurePosixPath(argv[0]).name
+    if not _INTERPRETER.fullmatch(name):
+        return name
+    words = list(argv[1:])
+    if "-m" in words[:-1]:
+        return words[words.index("-m") + 1]
+    return next((PurePosixPath(word).name for word in words if not word.startswith("-")), name)

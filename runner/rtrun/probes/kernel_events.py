@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtrun.kinds.values import Int64s
+from rtrun.kinds.values import Int64s, no_values
 from rtrun.probes.formats import EventFormat, RawValues
 from rtrun.probes.hits import Hit
 
 EventKind = tuple[str, EventFormat]
 """The name, as sched/sched_switch, and how its values are read."""
 _Some = slice | NDArray[np.bool_] | Int64s
+_NUMBERS = {1: ("<i1", "<u1"), 2: ("<i2", "<u2"), 4: ("<i4", "<u4"), 8: ("<i8", "<u8")}
+"""The types of numbers by their bytes, with a sign and without; those above 2**63 - 1 become negative."""
 _ROW = np.dtype([(name, np.uint32) for name in ("cpu", "pid", "tid", "kind", "end", "size")])
 
 
@@ -43,6 +45,25 @@ class KernelEvents:
     def size_bytes(self) -> int:
         """About how much memory they take."""
         return self.at_ns.nbytes + self.rows.nbytes + len(self.data)
+
+    def numbers(self, some: Int64s, name: str) -> Int64s:
+        """A number in some of the events, which are all of one kind; int64 (n,).
+
+        Raises ValueError if the kernel's events of that kind have no such number.
+        """
+        if not some.size:
+            return no_values()
+        rows = self.rows[some]
+        event, form = self.kinds[int(rows["kind"][0])]
+        field = next((each for each in form.fields if each.name == name and each.size in _NUMBERS), None)
+        if field is None:
+            raise ValueError(f"the kernel's event {event} has no number {name}")
+        if int(rows["size"].min()) < field.offset + field.size:
+            raise ValueError(f"an event {event} that ends before its field {name}")
+        begins = rows["end"].astype(np.int64) - rows["size"] + field.offset
+        data = np.frombuffer(self.data, np.uint8)[begins[:, None] + np.arange(field.size)]
+        told: Int64s = data.view(_NUMBERS[field.size][field.code.isupper()]).reshape(-1).astype(np.int64)
+        return told
 
     def only(self, some: _Some) -> "KernelEvents":
         """Some of them."""

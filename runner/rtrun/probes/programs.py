@@ -13,6 +13,7 @@ from rtfiles.untrusted import MIB, whole_number
 from rtrun.kinds.limits import COUNT_MAX, CPUS_MAX, PID_MAX, RT_PRIORITY_MAX
 from rtrun.probes.hits import ObservedProgram, ProgramThread
 from rtrun.probes.libraries.description import libraries
+from rtrun.probes.loops import is_asked_for, thread_name
 from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection.facts import POLICIES
 from rtrun.targets.shell import TooMuch
@@ -66,7 +67,7 @@ class MappedLibrary:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObservableProgram:
-    """A program and the libraries with probes that it maps."""
+    """A program and the libraries with probes that it maps; none if only its loops are observed."""
 
     program: ObservedProgram
     mapped: tuple[MappedLibrary, ...]
@@ -93,13 +94,17 @@ def pattern() -> str:
     return f"/({'|'.join(library.file for library in libraries().values())})( .deleted.)?$"
 
 
-def find_programs(link: "Link", scripts: PurePosixPath) -> FoundPrograms:
-    """Ask a target for the programs that can be observed, without changing anything there. Raises TargetError."""
+def find_programs(link: "Link", scripts: PurePosixPath, names: Sequence[str] = ()) -> FoundPrograms:
+    """Ask a target for the programs that can be observed, without changing anything there. Raises TargetError.
+
+    `names` are those of loops, as PROGRAM or PROGRAM/THREAD.
+    """
     script = str(scripts / "find_programs.sh")
+    asked = "\n".join(thread_name(name) for name in names if name.isprintable())
 
     def ask(connection: "Connection") -> FoundPrograms:
         # Read line by line: a large system prints more than is accepted from a command that is read as a whole.
-        reader, data = ProgramReader(str(link.target.address)), bytearray()
+        reader, data = ProgramReader(str(link.target.address), names), bytearray()
 
         def take(chunk: bytes) -> None:
             data.extend(chunk)
@@ -110,7 +115,7 @@ def find_programs(link: "Link", scripts: PurePosixPath) -> FoundPrograms:
             for line in lines:
                 reader.take(bytes(line))
 
-        status, stderr = connection.shell.execute([script, pattern()], [], take, FIND_S)
+        status, stderr = connection.shell.execute([script, pattern(), asked], [], take, FIND_S)
         if status != 0:
             last = stderr.strip().rpartition("\n")[2][:300]
             raise TargetError(f"{link.target.address}: find_programs.sh ended with exit status {status}: {last}")
@@ -122,12 +127,14 @@ def find_programs(link: "Link", scripts: PurePosixPath) -> FoundPrograms:
 class ProgramReader:
     """Reads a listing of find_programs.sh, a line at a time. A process that ended meanwhile is left out.
 
-    Raises TargetError, with the origin, for anything that the script would not print. Programs beyond a limit are left
-    out and counted: a system may have any number of programs, and the others can still be observed.
+    `names` are those of loops. Raises TargetError, with the origin, for anything that the script would not print.
+    Programs beyond a limit are left out and counted: a system may have any number of programs, and the others can still
+    be observed.
     """
 
-    def __init__(self, origin: str) -> None:
+    def __init__(self, origin: str, names: Sequence[str] = ()) -> None:
         self._origin = origin
+        self._names = names
         self._pid: int | None = None
         self._lines: list[str] = []
         self._line_bytes = 0
@@ -179,7 +186,7 @@ class ProgramReader:
 
     def _added(self, pid: int, lines: Sequence[str]) -> ObservableProgram | None:
         program = _program(pid, lines, lambda ranges: self._cpu_sets.share(ranges, lambda: _cpus(ranges)))
-        if program is None:
+        if program is None or not (program.mapped or is_asked_for(program.program, self._names)):
             return None
         if not self._room.take(program.program):
             self._left_out += 1
@@ -272,23 +279,31 @@ class Roster:
 
 def _text_bytes(program: ObservedProgram) -> int:
     """What the texts of a program take in memory: a single character may make all of a text four times as long."""
-    names = (program.name, *program.argv, *program.libraries, *(thread.name for thread in program.threads))
+    names = (
+        program.name,
+        program.file,
+        *program.argv,
+        *program.libraries,
+        *(thread.name for thread in program.threads),
+    )
     return sum(map(getsizeof, names))
 
 
 def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int, ...]]) -> ObservableProgram | None:
-    """Read the lines of one process; None if it has ended, or maps no library with probes any more."""
+    """Read the lines of one process; None if it has ended."""
     arguments: list[str] = []
     stat: list[str] = []
     cpus: dict[int, tuple[int, ...]] = {}
     mapped: dict[str, MappedLibrary] = {}
-    locked = "0"
+    locked, file = "0", ""
     for line in lines:
         word, _, rest = line.partition(" ")
         if word == "argument" and len(arguments) < ARGUMENTS_MAX:
             arguments.append(rest.replace("\1", "\n"))
         elif word == "cut" and len(arguments) < ARGUMENTS_MAX:
             arguments.append(f"{rest}{CUT}".replace("\1", "\n"))
+        elif word == "file":
+            file = rest[:NAME_CHARACTERS_MAX].removesuffix(_DELETED).replace("\1", "\n")
         elif word == "locked":
             locked = rest.removesuffix(" kB")
         elif word == "stat":
@@ -305,7 +320,7 @@ def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int,
         threads.append(thread)
         if thread.tid == pid:
             start_ticks, name = ticks, thread.name
-    if start_ticks is None or not mapped:
+    if start_ticks is None:
         return None
     program = ObservedProgram(
         pid=pid,
@@ -315,6 +330,7 @@ def _program(pid: int, lines: Iterable[str], cpus_of: Callable[[str], tuple[int,
         locked_bytes=whole_number(locked, lowest=0, highest=COUNT_MAX // 1024) * 1024,
         libraries=tuple(mapped),
         threads=tuple(threads),
+        file=file,
     )
     return ObservableProgram(program=program, mapped=tuple(mapped.values()))
 

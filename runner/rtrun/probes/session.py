@@ -10,6 +10,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from rtrun.probes.hits import Gap, GapCause
+from rtrun.probes.loops import BUFFER_KB, EVENTS_PER_S, LoopWatch
 from rtrun.probes.placement import PlacedProbe, Placement, RefusedProbe
 from rtrun.probes.programs import ObservableProgram, pattern
 from rtrun.probes.stream import Batch, Ready, WatchReader
@@ -66,6 +67,8 @@ class Finished:
     rests: int
     is_clean: bool
     broken: str = ""
+    unfollowed: int = 0
+    """How many threads had a loop that was not observed, at most at one time, because there were too many."""
 
 
 Observed = Began | Batch | Finished
@@ -79,20 +82,22 @@ def observe(
     *,
     for_s: float,
     kernel_events: Collection[str] = (),
+    loops: LoopWatch | None = None,
     limit_per_s: int = LIMIT_PER_S,
 ) -> Generator[Observed, None, None]:
     """Place probes on a target, and yield what they see: `Began`, a `Batch` about once a second, `Finished`.
 
     `programs` are those whose threads are known with their processes; other programs that use the same libraries are
-    found meanwhile. `kernel_events` are as in trace_events.yml. After `for_s` seconds, or when the caller closes the
-    iterator, everything is taken off. The watchdog on the target does that, too, if the connection breaks or this
+    found meanwhile. `kernel_events` are as in trace_events.yml. With `loops` their events come, too: of their threads
+    alone, unless there are other kernel events. After `for_s` seconds, or when the caller closes the iterator,
+    everything is taken off. The watchdog on the target does that, too, if the connection breaks or this
     process is killed. A lost connection is made again, and the script is called again if it prints nothing any more; a
     gap covers the time in which nothing was seen. Once something was seen, `Finished` reports what ended it.
 
     Nobody else may use the link meanwhile. Raises TargetError if the user lacks the right, the kernel has no probes, or
     the target does not answer; TargetRebooted at any time.
     """
-    watching = _Watching(link, scripts, placement, programs, for_s, tuple(kernel_events), limit_per_s)
+    watching = _Watching(link, scripts, placement, programs, for_s, tuple(kernel_events), loops, limit_per_s)
     thread = threading.Thread(target=watching.run, name="observe", daemon=True)
     thread.start()
     try:
@@ -119,6 +124,7 @@ class _Watching:
         programs: Sequence[ObservableProgram],
         for_s: float,
         kernel_events: tuple[str, ...],
+        loops: LoopWatch | None,
         limit_per_s: int,
     ) -> None:
         self._link, self._placement = link, placement
@@ -126,7 +132,10 @@ class _Watching:
         self._pids = {thread.tid: each.program.pid for each in programs for thread in each.program.threads}
         buffer_kb = min(max(limit_per_s * 2 * _EVENT_BYTES // 1024, _BUFFER_KB[0]), _BUFFER_KB[1])
         buffer_kb += _BUFFER_KERNEL_KB if kernel_events else 0
-        self._is_traced = bool(kernel_events)
+        buffer_kb += BUFFER_KB if loops is not None else 0
+        limit_per_s += EVENTS_PER_S if loops is not None else 0
+        self._is_traced = bool(kernel_events) or loops is not None
+        self._loops = loops.names if loops is not None else ()
         self._for_s = for_s
         self._next_beat_s = 0.0
         # Set again once the probes are placed: `for_s` counts from there.
@@ -134,7 +143,8 @@ class _Watching:
         self._arguments = (str(buffer_kb), str(limit_per_s), pattern(), *kernel_events)
         self._script = str(scripts / "watch_probes.sh")
         watched = " ".join(str(each.program.pid) for each in programs)
-        lines = [*(probe.line for probe in placement.probes), *([f"watch {watched}"] if watched else []), "go", ""]
+        lines = [*(probe.line for probe in placement.probes), *([f"watch {watched}"] if watched else [])]
+        lines += [*(loops.lines if loops is not None else ()), "go", ""]
         self._stdin = "\n".join(lines).encode()
         self.is_over = threading.Event()
         self._connection: Connection | None = None
@@ -156,7 +166,9 @@ class _Watching:
     def _call(self, connection: "Connection") -> None:
         if self._is_time_over():
             return
-        reader = WatchReader(self._probes, str(connection.address), self._pids, is_traced=self._is_traced)
+        reader = WatchReader(
+            self._probes, str(connection.address), self._pids, is_traced=self._is_traced, loops=self._loops
+        )
         self._put(reader)
         self._connection = connection
         self._asked_s, self._quiet_s, self._over_s, self._is_ready = time.monotonic(), 0.0, 0.0, False
@@ -229,7 +241,7 @@ class _Watching:
     def results(self) -> Iterator[Observed]:
         """Read what the script prints. Raises what ends it before anything was seen, and TargetRebooted at any time."""
         reader: WatchReader | None = None
-        calls = lost = rests = 0
+        calls = lost = rests = unfollowed = 0
         seen_ns = 0
         broken = ""
         while True:
@@ -261,6 +273,7 @@ class _Watching:
             if isinstance(piece, bytes):
                 continue
             lost += reader.lost if reader is not None else 0
+            unfollowed = max(unfollowed, reader.unfollowed if reader is not None else 0)
             if piece is None:
                 if not broken and reader is not None and reader.is_done and not reader.is_read_to_end:
                     broken = "what prints the events on the target was ended there"
@@ -269,6 +282,7 @@ class _Watching:
                     rests=rests,
                     is_clean=reader is not None and reader.is_done,
                     broken=broken,
+                    unfollowed=unfollowed,
                 )
                 return
             reader, calls = piece, calls + 1

@@ -119,11 +119,19 @@ class _WaitingRoom:
 class WatchReader:
     """Reads the output of one call of watch_probes.sh; `probes` are keyed by their names there.
 
+    `loops` are the names of loops that are observed. With `is_traced` the kernel's own events are read.
+
     Raises TargetError, with the origin, for anything that the script would not print.
     """
 
     def __init__(
-        self, probes: Mapping[str, PlacedProbe], origin: str, pids: Mapping[int, int], *, is_traced: bool = True
+        self,
+        probes: Mapping[str, PlacedProbe],
+        origin: str,
+        pids: Mapping[int, int],
+        *,
+        is_traced: bool = True,
+        loops: Sequence[str] = (),
     ) -> None:
         self.is_done = False
         """Everything was taken off the target."""
@@ -151,7 +159,10 @@ class WatchReader:
         """The kinds of the kernel's events."""
         self._kernel = WaitingEvents(self._kinds)
         self._gaps: list[Gap] = []
-        self._programs = ProgramReader(origin)
+        self._loops = loops
+        self.unfollowed = 0
+        """Threads whose loops are not observed because there are too many, at most."""
+        self._programs = ProgramReader(origin, loops)
         """What was listed since the last batch."""
         self._ended: list[int] = []
         self._realtime_offset_ns: int | None = None
@@ -258,6 +269,8 @@ class WatchReader:
         elif word == "realtime":
             # A clock that was never set may be behind.
             self._realtime_offset_ns = whole_number(rest, lowest=-WALL_TIME_MAX_NS, highest=WALL_TIME_MAX_NS)
+        elif word == "unfollowed":
+            self.unfollowed = max(self.unfollowed, whole_number(rest, lowest=1, highest=PID_MAX))
         elif word == "ended":
             pid = whole_number(rest, lowest=1, highest=PID_MAX)
             if len(self._ended) < _ENDED_MAX:
@@ -416,7 +429,7 @@ class WatchReader:
             ended=tuple(self._ended),
             realtime_offset_ns=self._realtime_offset_ns,
         )
-        self._programs, self._ended = ProgramReader(self._origin), []
+        self._programs, self._ended = ProgramReader(self._origin, self._loops), []
         return batch
 
 

@@ -114,6 +114,6 @@ def without_values(kind: StreamKind, source: StreamSource, copies: Copies) -> St
 
 
 def spans_since(rows: Rows, row: int) -> Growth:
-    """What is new of rows with a begin and an end."""
-    begins, ends = rows.read(row).T
+    """What is new of rows that begin with a begin and an end."""
+    begins, ends, *_ = rows.read(row).T
     return Growth(len(rows), ends - begins, ends, len(rows))

@@ -2,7 +2,7 @@
 
 import contextlib
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 OPTIONS = ("break_trace_us", "trace_threshold_us")
 # The trace uses the clock of the samples, so that their timestamps can be compared.
 CLOCKS = {"raw": "mono_raw", "monotonic": "mono"}
-# The function that the timer of a sleeping thread calls.
+# The function that the timer of a sleeping thread calls: what a trace is read with.
 FUNCTIONS = ("hrtimer_wakeup",)
 DATA = Path(__file__).with_name("trace_events.yml")
 
@@ -35,9 +35,9 @@ def read_events() -> list[str]:
     return load_own(DATA, TraceEvents).events
 
 
-def read_symbols(link: "Link") -> dict[int, str]:
-    """The kernel functions that are needed to read a trace, by address; empty if the kernel hides the addresses."""
-    names = "|".join(FUNCTIONS)
+def read_symbols(link: "Link", functions: Sequence[str] = FUNCTIONS) -> dict[int, str]:
+    """These functions of the kernel by address; empty if the kernel hides the addresses."""
+    names = "|".join(functions)
     answer = link.run(["grep", "-E", f" [tT] ({names})$", "/proc/kallsyms"]).stdout
     found = re.findall(rf"^([0-9a-f]{{8,16}}) [tT] ({names})$", answer, re.MULTILINE | re.ASCII)
     return {int(address, 16): name for address, name in found if int(address, 16)}

@@ -1,0 +1,484 @@
+"""Loops of threads: when each was due, ran and slept again, from the kernel's own events.
+
+A thread arms a timer and sleeps; the timer's interrupt wakes it, and it runs. An activation begins there. It ends where
+the thread began the sleep that its next timer ended, so what it waits for within a cycle is part of the cycle.
+"""
+
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from rtfiles.output import counted
+from rtfiles.quantities import time
+from rtrun.flows.observation_state import ObservationState
+from rtrun.flows.programs import NAME_CHARACTERS_MAX, numbered
+from rtrun.kinds.limits import TIME_MAX_NS
+from rtrun.kinds.values import Int64s
+from rtrun.probes.hits import Gap, ObservedProgram, ProgramThread
+from rtrun.probes.kernel_events import KernelEvents
+from rtrun.probes.loops import EVENTS, EXPIRY, SLEEP, START, SWITCH, THREADS_MAX, WAKING, LoopWatch, is_observed
+
+_INTERRUPT = 0x18  # bits of common_flags: within an interrupt or a softirq
+_ASLEEP, _ENDED = 0x03, 0x30  # bits of prev_state: S and D, X and Z
+_STEP_NS = 1000  # two readings of the offset of a clock differ by less
+_TIMERS_MAX = 64  # of a thread that are armed at one time
+_GRID_ROWS = 1000  # activations that show the period
+_GRID_ROWS_LEAST = 8
+_WAKERS_MAX = 16
+UNKNOWN_NS = -1
+"""The timer's interrupt, or the waking, was not seen to come before the thread ran."""
+
+
+@dataclass(slots=True)
+class _Timer:
+    """A timer that a thread has armed; `due_ns` is of CLOCK_MONOTONIC."""
+
+    handle: int
+    due_ns: int
+    asked_ns: int
+    is_sleep: bool
+    is_realtime: bool
+    expired_ns: int | None = None
+    expired_cpu: int = -1
+
+
+class Latest(NamedTuple):
+    """The activation that ran latest after it was due, and who had the CPU before it; 0: nobody."""
+
+    late_ns: int
+    timer_ns: int
+    wake_ns: int
+    wait_ns: int
+    before_tid: int
+    before_name: str
+
+
+class LoopLog:
+    """The activations of a thread, over all restarts of its program.
+
+    `rows`: due, interrupt, waking, running. `responses`: due, end, CPU time. `past_due` counts activations whose time
+    had passed when the thread asked for it, `unseen` those whose begin was not recorded.
+    """
+
+    __slots__ = (
+        "asked", "cuts", "is_dropped", "is_real_time", "latest", "past_due", "program", "realtime", "responses", "rows",
+        "runs", "thread", "unseen", "wakers", "worst",
+    )  # fmt: skip
+
+    def __init__(self, program: str, thread: str, state: ObservationState) -> None:
+        self.program, self.thread = program, thread
+        self.rows, self.responses, self.cuts = state.store.rows(4), state.store.rows(3), state.store.rows()
+        self.asked: array[int] = array("q")
+        """When the first activations were asked for."""
+        self.past_due = self.realtime = self.runs = self.unseen = 0
+        self.wakers: Counter[str] = Counter()
+        """What wakes it besides its timers."""
+        self.is_real_time = self.is_dropped = False
+        self.latest: LoopThread | None = None
+        self.worst: Latest | None = None
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it is a stream. A program's ordinary threads are none once it has real-time ones."""
+        return self.is_real_time or not self.is_dropped
+
+    @property
+    def clock(self) -> str:
+        """``system`` if it sleeps on CLOCK_REALTIME, which may be set; otherwise empty."""
+        return "system" if 2 * self.realtime > len(self.rows) else ""
+
+    def period_ns(self) -> int | None:
+        """The period, if its due times lie on a grid; None if each sleep begins anew, or too few were seen.
+
+        On a grid the time between two due times is more constant than the time from asking to being due.
+        """
+        rows = min(len(self.asked), _GRID_ROWS)
+        if rows < _GRID_ROWS_LEAST:
+            return None
+        due = self.rows.read(0, rows)[:, 0]
+        steps, asked = np.diff(due), due - np.frombuffer(self.asked[:rows], np.int64)
+        period_ns = int(np.median(steps))
+        if period_ns <= 0:
+            return None
+        off = np.abs(steps - np.maximum(np.rint(steps / period_ns), 1) * period_ns)
+        varies = np.abs(asked - np.median(asked))
+        return period_ns if np.median(off) == 0 or np.median(off) < np.median(varies) else None
+
+    def skipped(self, begin: int, due: Int64s, period_ns: int | None) -> Int64s:
+        """The periods without an activation before each of these rows, from row `begin` on; int64 (n,)."""
+        skipped = np.zeros(due.size, np.int64)
+        if period_ns is None or not due.size:
+            return skipped
+        before = self.rows[begin - 1] if begin else int(due[0])
+        passed = np.diff(due, prepend=before)
+        cuts = self.cuts.between(begin, begin + due.size) - begin
+        skipped[:] = np.maximum((passed + period_ns // 2) // period_ns - 1, 0)
+        skipped[cuts] = 0
+        return skipped
+
+    def in_words(self) -> Iterator[str]:
+        """What a reader has to know of its values, or why it has none."""
+        if not len(self.rows):
+            yield f"no loop: {self._why_none()}"
+            return
+        period_ns = self.period_ns()
+        yield (
+            f"its times are {time(period_ns)} apart"
+            if period_ns
+            else "its times lie on no grid: periods are not counted"
+        )
+        if self.past_due:
+            yield f"{counted(self.past_due, 'time')} the next time had already passed when it asked for it"
+        if self.unseen:
+            many = counted(self.unseen, "time")
+            yield f"{many} the kernel did not record when it began to run: these values are at most that late"
+        if self.clock:
+            yield "it sleeps on CLOCK_REALTIME: a step of that clock moves its due times"
+        if self.worst is not None:
+            yield f"its latest activation ran {time(self.worst.late_ns)} after it was due: {_parts(self.worst)}"
+
+    def _why_none(self) -> str:
+        if not self.runs:
+            return (
+                "the thread did not run" if self.latest is None or not self.latest.is_on else "it runs without a pause"
+            )
+        if not self.wakers:
+            return "the thread never slept: it waits busily, or does not wait at all"
+        woken = ", ".join(f"{number} times by {who}" for who, number in self.wakers.most_common(3))
+        return f"no timer ends its sleeps: it was woken {woken}"
+
+
+class LoopThread:
+    """A living thread whose loop is observed."""
+
+    __slots__ = (
+        "asleep_ns", "is_alive", "is_joined", "is_on", "log", "on_ns", "open_ns", "program", "run_ns", "tid", "timers",
+        "woken",
+    )  # fmt: skip
+    log: LoopLog
+
+    def __init__(self, tid: int, program: ObservedProgram) -> None:
+        self.tid, self.program = tid, program
+        self.is_alive = True
+        self.cut()
+
+    def cut(self) -> None:
+        """Events are missing: nothing is known of what it does."""
+        self.is_joined = False
+        """Its next activation follows the one before without a gap."""
+        self.timers: dict[int, _Timer] = {}
+        self.asleep_ns: int | None = None
+        """Since when it sleeps; None: it does not, or that is not known."""
+        self.is_on = False
+        self.on_ns: int | None = None
+        self.woken: tuple[_Timer | None, int] | None = None
+        self.open_ns: int | None = None
+        """When the activation was due that has not ended."""
+        self.run_ns = 0
+
+
+class LoopRecord:
+    """Reads loops from the kernel's events.
+
+    `observe` takes the programs that run, before their events are fed. `feed` takes events and gaps, each time later
+    than before. `missing` are sentences about what the kernel does not have.
+    """
+
+    def __init__(self, state: ObservationState, watch: LoopWatch | None) -> None:
+        self._state = state
+        self._names = watch.names if watch is not None else ()
+        self._functions = dict(watch.functions) if watch is not None else {}
+        self.logs: dict[tuple[str, str], LoopLog] = {}
+        self.threads: dict[int, LoopThread] = {}
+        self.missing: dict[str, None] = {}
+        self._armed: dict[int, LoopThread] = {}
+        self._offset_ns: int | None = None
+        self._is_offset_certain = False
+        self._blind_until_ns = 0
+
+    def observe(self, programs: Iterable[ObservedProgram]) -> None:
+        """Take all programs that run now: others have ended."""
+        living: dict[int, tuple[ObservedProgram, ProgramThread]] = {}
+        for program in sorted(programs, key=lambda each: (each.start_ticks, each.pid)):
+            for thread in sorted(program.threads, key=lambda each: each.tid):
+                if is_observed(program, thread, self._names):
+                    living[thread.tid] = program, thread
+                elif (known := self.threads.get(thread.tid)) is not None and known.program.pid == program.pid:
+                    # It was observed as long as its program had no real-time thread, or as one of these.
+                    known.log.is_dropped = True
+        for tid, one in list(self.threads.items()):
+            now = living[tid][0] if tid in living else None
+            if now is None or (now.pid, now.start_ticks) != (one.program.pid, one.program.start_ticks):
+                self._end(one)
+        for tid, (program, thread) in living.items():
+            if tid not in self.threads:
+                if len(self.threads) >= THREADS_MAX:
+                    continue
+                self._begin(tid, program, thread)
+                if tid not in self.threads:
+                    continue
+            self.threads[tid].log.is_real_time |= thread.is_real_time
+
+    def _begin(self, tid: int, program: ObservedProgram, thread: ProgramThread) -> None:
+        file_name, name = program.file_name[:NAME_CHARACTERS_MAX], thread.name
+        one = LoopThread(tid, program)
+        number = self._state.numbering.number(("loop", file_name, name), one, program.argv)
+        key = file_name, numbered(name, number)
+        # The name of an ordinary thread that is no stream any more may be that of a real-time one.
+        if key not in self.logs or not self.logs[key].is_shown:
+            if not self._state.add_stream():
+                return
+            self.logs[key] = LoopLog(*key, self._state)
+        one.log = self.logs[key]
+        one.log.latest = one
+        self._state.add_pid(file_name, program.pid)
+        self.threads[tid] = one
+
+    def _end(self, one: LoopThread) -> None:
+        one.is_alive = one.is_on = False
+        del self.threads[one.tid]
+        for handle in one.timers:
+            self._armed.pop(handle, None)
+
+    def feed(self, events: KernelEvents, gaps: Sequence[Gap], offset_ns: int | None) -> None:
+        """Read events, in the order of time, and gaps between them.
+
+        `offset_ns` is how far CLOCK_REALTIME is ahead of the events' clock at the end of these events, if known. Raises
+        NoRoom if more was measured than may be kept.
+        """
+        before, self._offset_ns = self._offset_ns, offset_ns
+        # Whether it holds for all of these events: it was the same before them.
+        is_same = before is not None and offset_ns is not None and abs(offset_ns - before) < _STEP_NS
+        self._is_offset_certain = is_same or before is None
+        if before is not None and offset_ns is not None and not is_same:
+            self._forget_realtime()
+        if not self.threads:
+            return
+        waiting = sorted(gaps)
+        for at_ns, cpu, tid, place, *numbers in self._numbers(events):
+            while waiting and waiting[0].from_ns <= at_ns:
+                self._cut(waiting.pop(0))
+            if at_ns < self._blind_until_ns:
+                continue
+            match numbers:
+                case [0, handle, soft_ns, function]:
+                    self._start(at_ns, tid, handle, soft_ns, function)
+                case [1, handle, _, _]:
+                    self._expire(at_ns, cpu, handle)
+                case [2, woken, flags, _]:
+                    self._wake(at_ns, cpu, tid, woken, flags)
+                case [_, prev, next_tid, state]:
+                    self._leave(at_ns, prev, state)
+                    self._enter(at_ns, next_tid, prev, events, place)
+        for gap in waiting:
+            self._cut(gap)
+        self._state.store.ease()
+
+    def finish(self) -> None:
+        """There are no more events: an activation has ended if its thread sleeps."""
+        for one in self.threads.values():
+            # What it sleeps for within a cycle is no end: only its next timer shows that it asked for the next time.
+            if one.open_ns is not None and one.asleep_ns is not None and one.timers:
+                self._close(one, one.asleep_ns)
+
+    def _numbers(self, events: KernelEvents) -> Iterator[tuple[int, ...]]:
+        """Of each event that concerns a thread: time, CPU, thread, place, kind (as in _FIELDS), and its numbers."""
+        kinds = {name: number for number, (name, _) in enumerate(events.kinds)}
+        for name in EVENTS:
+            if name not in kinds:
+                self.missing[f"the kernel has no event {name}: no loop is measured"] = None
+        if self.missing or not len(events):
+            return
+        size = len(events)
+        told = np.zeros((size, 4), np.int64)
+        is_of = np.zeros(size, np.bool_)
+        followed = np.fromiter(self.threads, np.int64, len(self.threads))
+        functions = np.array([*self._functions], np.uint64).view(np.int64)
+        tids = events.rows["tid"].astype(np.int64)
+        try:
+            for code, (name, fields) in enumerate(_FIELDS.items()):
+                some = np.flatnonzero(events.rows["kind"] == kinds[name])
+                columns = [events.numbers(some, field) for field in fields]
+                if name == START:
+                    kept = np.isin(tids[some], followed) & np.isin(columns[2], functions)
+                elif name == EXPIRY:
+                    kept = np.ones(some.size, np.bool_)
+                elif name == WAKING:
+                    kept = np.isin(columns[0], followed)
+                else:
+                    kept = np.isin(columns[0], followed) | np.isin(columns[1], followed)
+                told[some, 0] = code
+                for number, column in enumerate(columns):
+                    told[some, number + 1] = column
+                is_of[some] = kept
+        except ValueError as error:
+            self.missing[f"{error}: no loop is measured"] = None
+            return
+        places = np.flatnonzero(is_of)
+        parts = (events.at_ns[places], events.rows["cpu"][places], tids[places], places, *told[places].T)
+        yield from zip(*(part.tolist() for part in parts), strict=True)
+
+    def _start(self, at_ns: int, tid: int, handle: int, soft_ns: int, function: int) -> None:
+        """A thread arms a timer, from when on it may expire."""
+        one = self.threads[tid]
+        self._runs(at_ns, one)
+        is_sleep = self._functions.get(function & (1 << 64) - 1) == SLEEP
+        if not is_sleep and (timer := one.timers.get(handle)) is not None and timer.expired_ns is not None:
+            # It had expired while its thread ran, which only now takes note of that.
+            self._activate(one, timer, UNKNOWN_NS, at_ns, at_ns, 0, "")
+        for old in [each for each in one.timers.values() if each.handle == handle or (is_sleep and each.is_sleep)]:
+            self._disarm(one, old)
+        offset_ns = self._offset_ns
+        is_realtime = offset_ns is not None and abs(soft_ns - offset_ns - at_ns) < abs(soft_ns - at_ns)
+        if is_realtime and not self._is_offset_certain:
+            return
+        due_ns = soft_ns - offset_ns if is_realtime and offset_ns is not None else soft_ns
+        if not 0 <= due_ns <= TIME_MAX_NS or len(one.timers) >= _TIMERS_MAX:
+            return
+        one.timers[handle] = _Timer(handle, due_ns, at_ns, is_sleep, is_realtime)
+        self._armed[handle] = one
+
+    def _disarm(self, one: LoopThread, timer: _Timer) -> None:
+        one.timers.pop(timer.handle, None)
+        self._armed.pop(timer.handle, None)
+
+    def _forget_realtime(self) -> None:
+        for one in self.threads.values():
+            for timer in [each for each in one.timers.values() if each.is_realtime]:
+                self._disarm(one, timer)
+
+    def _expire(self, at_ns: int, cpu: int, handle: int) -> None:
+        one = self._armed.get(handle)
+        if one is not None and (timer := one.timers.get(handle)) is not None:
+            timer.expired_ns, timer.expired_cpu = at_ns, cpu
+
+    def _wake(self, at_ns: int, cpu: int, by_tid: int, tid: int, flags: int) -> None:
+        one = self.threads[tid]
+        timer = None
+        if flags & _INTERRUPT:
+            expired = [each for each in one.timers.values() if each.expired_ns is not None and each.expired_cpu == cpu]
+            timer = min(expired, key=lambda each: each.due_ns, default=None)
+        if one.is_on or by_tid == tid:
+            # The interrupt came before it slept: it runs on.
+            if timer is not None:
+                self._activate(one, timer, at_ns, at_ns, timer.asked_ns, 0, "")
+            return
+        if timer is None:
+            who = "an interrupt" if flags & _INTERRUPT else self._name(by_tid)
+            if who in one.log.wakers or len(one.log.wakers) < _WAKERS_MAX:
+                one.log.wakers[who] += 1
+            for sleep in [each for each in one.timers.values() if each.is_sleep]:
+                self._disarm(one, sleep)
+        one.woken = timer, at_ns
+
+    def _name(self, tid: int) -> str:
+        one = self.threads.get(tid)
+        return f"{one.log.program}/{one.log.thread}" if one is not None else "another thread"
+
+    def _leave(self, at_ns: int, tid: int, state: int) -> None:
+        one = self.threads.get(tid)
+        if one is None:
+            return
+        self._runs(at_ns, one)
+        one.is_on = False
+        if one.on_ns is not None:
+            one.run_ns += at_ns - one.on_ns
+            one.on_ns = None
+        if state & _ASLEEP:
+            one.asleep_ns, one.woken = at_ns, None
+        elif state & _ENDED:
+            one.cut()
+
+    def _runs(self, at_ns: int, one: LoopThread) -> None:
+        """A thread runs, though the kernel may not have recorded its switch to it: it does not record every switch.
+
+        These are late more often than others. So they count, from the first time at which the thread is seen to run.
+        """
+        if not one.is_on and one.woken is not None:
+            one.log.unseen += one.woken[0] is not None
+            self._enters(at_ns, one, 0, "")
+
+    def _enter(self, at_ns: int, tid: int, before: int, events: KernelEvents, place: int) -> None:
+        one = self.threads.get(tid)
+        if one is None:
+            return
+        timer, worst = one.woken[0] if one.woken is not None else None, one.log.worst
+        is_worst = timer is not None and (worst is None or at_ns - timer.due_ns > worst.late_ns)
+        self._enters(at_ns, one, before, _previous_name(events, place) if is_worst and before else "")
+
+    def _enters(self, at_ns: int, one: LoopThread, before: int, name: str) -> None:
+        one.is_on, one.on_ns = True, at_ns
+        one.log.runs += 1
+        timer, waking_ns = one.woken or (None, UNKNOWN_NS)
+        one.woken = None
+        if timer is not None and timer.handle in one.timers:
+            end_ns = one.asleep_ns if one.asleep_ns is not None else timer.asked_ns
+            self._activate(one, timer, waking_ns, at_ns, end_ns, before, name)
+        one.asleep_ns = None
+
+    def _activate(
+        self, one: LoopThread, timer: _Timer, waking_ns: int, running_ns: int, end_ns: int, before: int, name: str
+    ) -> None:
+        """The time of a thread has come and it runs; the activation before ended at `end_ns`."""
+        log = one.log
+        if one.open_ns is not None:
+            self._close(one, end_ns)
+        if not one.is_joined:
+            log.cuts.add((len(log.rows),))
+            one.is_joined = True
+        interrupt_ns = timer.expired_ns if timer.expired_ns is not None else UNKNOWN_NS
+        log.rows.add((timer.due_ns, interrupt_ns, waking_ns, running_ns))
+        if len(log.asked) < _GRID_ROWS:
+            log.asked.append(timer.asked_ns)
+        log.past_due += timer.asked_ns >= timer.due_ns
+        log.realtime += timer.is_realtime
+        late_ns = running_ns - timer.due_ns
+        if log.worst is None or late_ns > log.worst.late_ns:
+            timer_ns = max(interrupt_ns - timer.due_ns, 0) if interrupt_ns >= 0 else 0
+            wake_ns = max(waking_ns - interrupt_ns, 0) if min(waking_ns, interrupt_ns) >= 0 else 0
+            log.worst = Latest(late_ns, timer_ns, wake_ns, late_ns - timer_ns - wake_ns, before, name)
+        one.open_ns, one.run_ns = timer.due_ns, 0
+        if one.is_on:
+            one.on_ns = running_ns
+        self._disarm(one, timer)
+
+    def _close(self, one: LoopThread, end_ns: int) -> None:
+        """An activation has ended."""
+        assert one.open_ns is not None
+        run_ns = one.run_ns
+        if one.on_ns is not None and one.on_ns < end_ns:
+            run_ns += end_ns - one.on_ns
+        one.log.responses.add((one.open_ns, max(end_ns, one.open_ns), run_ns))
+        one.open_ns = None
+
+    def _cut(self, gap: Gap) -> None:
+        self._blind_until_ns = max(self._blind_until_ns, gap.until_ns)
+        self._armed.clear()
+        for one in self.threads.values():
+            one.cut()
+
+
+_FIELDS: Mapping[str, Sequence[str]] = {
+    START: ("hrtimer", "softexpires", "function"),
+    EXPIRY: ("hrtimer",),
+    WAKING: ("pid", "common_flags"),
+    SWITCH: ("prev_pid", "next_pid", "prev_state"),
+}
+
+
+def _previous_name(events: KernelEvents, place: int) -> str:
+    """The kernel's name of the thread that left the CPU."""
+    (event,) = events.only(slice(place, place + 1))
+    return str(event.values.get("prev_comm", ""))
+
+
+def _parts(worst: Latest) -> str:
+    who = f" that {worst.before_name} had" if worst.before_tid else ""
+    return (
+        f"{time(worst.timer_ns)} until its timer's interrupt, {time(worst.wake_ns)} until it was woken, "
+        f"{time(worst.wait_ns)} until it had a CPU{who}"
+    )
