@@ -9,7 +9,7 @@ from rtrun.commands._arguments import add_target
 from rtrun.commands._question import argument, time_argument
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rtrun.execution.observation import Watched
     from rtrun.execution.ros_graph import RosGraph
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rtrun.plan.run import Run
     from rtrun.targets.config import TargetConfig
 
-HELP = "measure nodes that run already, unmodified: messages, timers, callbacks, reaction times"
+HELP = "measure programs that run already, unmodified: messages, timers, callbacks, reaction times, loops"
 EXAMPLES = (
     "rtrun observe --target robot.yml --list",
     "rtrun observe --target robot.yml --for 60s --deadline /cmd_vel=5ms",
@@ -38,7 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="STREAM=TIME",
-        help="of messages /cmd_vel=5ms, of a path /a,/b=9ms; timer:/node=1ms, callback:/node=1ms, interval:/scan=50ms",
+        help="of messages /cmd_vel=5ms, of a path /a,/b=9ms; timer:/node=1ms, callback:/node=1ms, interval:/scan=50ms, "
+        "loop:PROGRAM=200us, loop-response:PROGRAM=700us",
     )
     parser.add_argument(
         "--path",
@@ -226,6 +227,7 @@ def _list(args: argparse.Namespace, config: "TargetConfig", planned: "Run") -> i
     from rtfiles.output import print_status
     from rtrun.commands._link import linked
     from rtrun.execution import observation
+    from rtrun.execution.loop_list import list_loops
     from rtrun.execution.ros_graph import read_graph
     from rtrun.plan.observation import ObservationPlan
     from rtrun.targets import deploy
@@ -239,14 +241,16 @@ def _list(args: argparse.Namespace, config: "TargetConfig", planned: "Run") -> i
         scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
         watched = observation.watch(link, scripts, planned.subject)
         graph = read_graph(link, scripts, watched.ros_programs)
+        loops = list_loops(link, scripts, watched)
     print_status("")
-    _print_list(watched, graph)
+    _print_list(watched, graph, loops)
     return 0
 
 
-def _print_list(watched: "Watched", graph: "RosGraph") -> None:
-    """Each program, its nodes, who publishes to whom, what can be measured, and what threatens real time."""
+def _print_list(watched: "Watched", graph: "RosGraph", loops: "Sequence[str]") -> None:
+    """Each program, its nodes, who publishes to whom, what can be measured, loops, and what threatens real time."""
     from rtfiles.output import counted, print_line
+    from rtrun.execution import observation
     from rtrun.flows.hazards import hazards
     from rtrun.flows.programs import label_of
     from rtrun.probes.placement import refusals
@@ -256,7 +260,7 @@ def _print_list(watched: "Watched", graph: "RosGraph") -> None:
     for probe in watched.placement.probes:
         events.setdefault(probe.path, set()).add(probe.event)
     if not watched.found:
-        print_line("no program runs there that uses ROS")
+        print_line(observation.NOTHING)
     for each in watched.found:
         program = each.program
         print_line(f"{label_of(program)} (pid {program.pid}), {counted(len(program.threads), 'thread')}")
@@ -268,6 +272,8 @@ def _print_list(watched: "Watched", graph: "RosGraph") -> None:
         print_line(f"topic {topic}: {' to '.join(ends)}")
     for path, measured in events.items():
         print_line(f"{path}: {', '.join(sorted(measured))}")
+    for text in loops:
+        print_line(text)
     for text in hazards([each.program for each in watched.found]):
         print_line(text)
     left_out = [left_out_in_words(watched.left_out)] if watched.left_out else []

@@ -120,22 +120,23 @@ class LoopLog:
         skipped[cuts] = 0
         return skipped
 
+    def rhythm(self) -> str:
+        """What wakes it, and how often."""
+        if not len(self.rows):
+            return f"no loop: {self._why_none()}"
+        period_ns = self.period_ns()
+        if period_ns is not None:
+            return f"sleeps until times {time(period_ns)} apart"
+        return "sleeps for a time that it reckons anew each time, so skipped periods are not counted"
+
     def in_words(self) -> Iterator[str]:
         """What a reader has to know of its values, or why it has none."""
-        if not len(self.rows):
-            yield f"no loop: {self._why_none()}"
-            return
-        period_ns = self.period_ns()
-        yield (
-            f"its times are {time(period_ns)} apart"
-            if period_ns
-            else "its times lie on no grid: periods are not counted"
-        )
+        yield self.rhythm()
         if self.past_due:
-            yield f"{counted(self.past_due, 'time')} the next time had already passed when it asked for it"
+            yield f"{counted(self.past_due, 'activation')} it asked for too late: the time had already passed"
         if self.unseen:
-            many = counted(self.unseen, "time")
-            yield f"{many} the kernel did not record when it began to run: these values are at most that late"
+            late = counted(self.unseen, "activation")
+            yield f"{late} began at most as late as told: the kernel did not record when the thread began to run"
         if self.clock:
             yield "it sleeps on CLOCK_REALTIME: a step of that clock moves its due times"
         if self.worst is not None:

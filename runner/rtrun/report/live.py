@@ -7,6 +7,7 @@ from rtfiles.output import console, counted, print_line
 from rtfiles.quantities import duration, grouped, time
 from rtrun.flows.live import LiveRow, Snapshot, worst_first
 from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.loop import STREAM as LOOP
 from rtrun.kinds.messages import STREAM as MESSAGES
 from rtrun.kinds.timer import STREAM as TIMER
 from rtrun.report.tables import Table
@@ -63,6 +64,8 @@ def live_line(snapshot: Snapshot) -> str:
         f"{sum(row.lost or 0 for row in messages)} lost",
         counted(sum(row.kind is TIMER for row in rows), "timer"),
     ]
+    if loops := [row for row in rows if row.kind is LOOP]:
+        parts.append(f"{counted(len(loops), 'loop')} with {counted(sum(row.n for row in loops), 'activation')}")
     with_deadline: dict[tuple[StreamKind, str], list[LiveRow]] = {}
     for row in rows:
         if row.misses is not None:
