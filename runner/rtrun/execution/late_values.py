@@ -154,7 +154,7 @@ class LateValueRecord:
         late.above_limit += places.size
         for place in places:
             at_ns = int(new.times_ns[place])
-            tid = self._thread(at_ns)
+            tid = new.tid if new.tid is not None else self._thread(at_ns)
             late.keep(LateValue(value_ns=int(new.values_ns[place]), at_ns=at_ns, limit_ns=limit_ns, tid=tid))
 
     def _thread(self, at_ns: int) -> int | None:

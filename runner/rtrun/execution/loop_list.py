@@ -1,4 +1,4 @@
-"""The real-time threads of a target: how each is scheduled, and what wakes it, from a short look at the kernel's events."""
+"""The real-time threads of a target: how each is scheduled, and what wakes it, seen in the kernel's events."""
 
 import contextlib
 from collections.abc import Iterator

@@ -97,7 +97,7 @@ class _Shown:
 class NewValues:
     """What a stream received since the last snapshot: the values and when each was there, int64 (n,).
 
-    `before` are the figures without them, `source` is that of the Stream.
+    `before` are the figures without them, `source` is that of the Stream, `tid` as in a Growth.
     """
 
     source: object
@@ -105,6 +105,7 @@ class NewValues:
     values_ns: Int64s
     times_ns: Int64s
     before: BinnedValues
+    tid: int | None = None
 
 
 class LiveFigures:
@@ -147,7 +148,7 @@ class LiveFigures:
             # What was taken for its values was none.
             shown = self._shown[source.record] = _Shown(BinnedValues())
         if self._on_values is not None and new.values_ns.size:
-            self._on_values(NewValues(source.record, kind, new.values_ns, new.times_ns, shown.figures))
+            self._on_values(NewValues(source.record, kind, new.values_ns, new.times_ns, shown.figures, new.tid))
         figures = shown.figures
         figures.add(new.values_ns, limit_ns)
         shown.rows = new.settled

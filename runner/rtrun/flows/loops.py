@@ -65,8 +65,8 @@ class LoopLog:
     """
 
     __slots__ = (
-        "asked", "cuts", "is_dropped", "is_real_time", "latest", "past_due", "program", "realtime", "responses", "rows",
-        "runs", "thread", "unseen", "wakers", "worst",
+        "asked", "cuts", "is_asked", "is_dropped", "is_real_time", "latest", "past_due", "program", "realtime", "responses",
+        "rows", "runs", "thread", "unseen", "wakers", "worst",
     )  # fmt: skip
 
     def __init__(self, program: str, thread: str, state: ObservationState) -> None:
@@ -78,6 +78,8 @@ class LoopLog:
         self.wakers: Counter[str] = Counter()
         """What wakes it besides its timers."""
         self.is_real_time = self.is_dropped = False
+        self.is_asked = False
+        """It has a deadline."""
         self.latest: LoopThread | None = None
         self.worst: Latest | None = None
 
@@ -131,7 +133,8 @@ class LoopLog:
 
     def in_words(self) -> Iterator[str]:
         """What a reader has to know of its values, or why it has none."""
-        yield self.rhythm()
+        if not len(self.rows) or self.is_asked:
+            yield self.rhythm()
         if self.past_due:
             yield f"{counted(self.past_due, 'activation')} it asked for too late: the time had already passed"
         if self.unseen:
@@ -139,7 +142,7 @@ class LoopLog:
             yield f"{late} began at most as late as told: the kernel did not record when the thread began to run"
         if self.clock:
             yield "it sleeps on CLOCK_REALTIME: a step of that clock moves its due times"
-        if self.worst is not None:
+        if self.worst is not None and self.is_asked:
             yield f"its latest activation ran {time(self.worst.late_ns)} after it was due: {_parts(self.worst)}"
 
     def _why_none(self) -> str:
@@ -236,6 +239,7 @@ class LoopRecord:
             self.logs[key] = LoopLog(*key, self._state)
         one.log = self.logs[key]
         one.log.latest = one
+        one.log.is_asked = any(each in (file_name, f"{file_name}/{one.log.thread}") for each in self._names)
         self._state.add_pid(file_name, program.pid)
         self.threads[tid] = one
 

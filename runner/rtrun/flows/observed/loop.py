@@ -74,4 +74,5 @@ class LoopSource:
         due, _, _, running = log.rows.read(row).T
         skipped = int(log.skipped(row, due, log.period_ns()).sum())
         rows = len(log.rows)
-        return Growth(rows, running - due, np.ascontiguousarray(running), rows, skipped=skipped)
+        tid = log.latest.tid if log.latest is not None else None
+        return Growth(rows, running - due, np.ascontiguousarray(running), rows, skipped=skipped, tid=tid)

@@ -34,6 +34,8 @@ class Growth:
     settled: int
     lost: int | None = None
     skipped: int = 0
+    tid: int | None = None
+    """The thread of the values; None: the hits at their times tell it."""
 
 
 class StreamSource(Protocol):
