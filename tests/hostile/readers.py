@@ -356,7 +356,7 @@ def _watch(path: Path) -> None:
     pieces = (each for start in range(0, len(data), 5000) for each in reader.feed(data[start : start + 5000]))
     for batch in itertools.chain((each for each in pieces if isinstance(each, Batch)), (reader.rest() for _ in "1")):
         flows.observe(each.program for each in batch.programs)
-        flows.offset("system", batch.until_ns, batch.realtime_offset_ns or 0)
+        flows.offset("system", batch.until_ns, next((each.offset_ns for each in batch.clocks), 0))
         late.record(batch)
         flows.feed([*batch.hits, *batch.gaps])
         figures.snapshot(batch.until_ns)

@@ -211,8 +211,8 @@ def observe(
                     roster.begin(program.program)
                 if each.ended or each.programs:
                     flows.observe(roster.alive)
-                if each.realtime_offset_ns is not None:
-                    flows.offset("system", each.until_ns, each.realtime_offset_ns)
+                for reading in each.clocks:
+                    flows.offset(*reading)
                 if late is not None:
                     late.record(each)
                 flows.feed([*each.hits, *each.gaps])

@@ -80,7 +80,7 @@ class FlowAccumulator:
         self.loops.observe(running)
 
     def offset(self, clock: str, at_ns: int, offset_ns: int) -> None:
-        """Another clock was `offset_ns` ahead of the hits' clock when that showed `at_ns`; ``system`` is realtime."""
+        """Another clock was `offset_ns` ahead of the hits' clock when that showed `at_ns`."""
         self.state.offsets_ns[clock] = offset_ns
         self.offsets.add(clock, at_ns, offset_ns)
 

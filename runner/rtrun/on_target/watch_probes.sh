@@ -12,9 +12,10 @@
 #       EVENT      of the kernel, below `events` in tracefs, recorded as well; left out where the kernel does not have it
 #
 # Standard input: a line "p NAME SHA256 PATH:OFFSET ARGUMENT..." for each probe, "watch PID..." for the programs
-# whose threads are to be told, "loops ADDRESS..." where loops are to be observed, "go"; then a line now and then, as long
-# as the probes are to stay. SHA256 is of the first 64 MiB of the file at PATH. ADDRESS is of a function of the kernel that
-# the timer of a sleeping thread calls. "name NAME" is a name for find_threads.sh, in which a blank is the character 1.
+# whose threads are to be told, "raw" if CLOCK_MONOTONIC_RAW is to be read, "loops ADDRESS..." where loops are to be
+# observed, "go"; then a line now and then, as long as the probes are to stay. SHA256 is of the first 64 MiB of the file at
+# PATH. ADDRESS is of a function of the kernel that the timer of a sleeping thread calls. "name NAME" is a name for
+# find_threads.sh, in which a blank is the character 1.
 # Of loops the events in $loop_events are recorded, for their threads alone unless there is an EVENT.
 #
 # The names of trace and probes tell which process takes them off: "rtrun-observe-" and "rtrun_observe_", then its
@@ -61,11 +62,12 @@ started() { if look "$1"; then echo "$start"; fi; }
 
 # Whether the process in a name has ended. Processes of another namespace cannot be seen from here.
 is_gone() {
-    case $1 in
+    rest=${1#raw_}
+    case $rest in
     "${namespace}"_[0-9]*_[0-9]*) ;;
     *) return 1 ;;
     esac
-    rest=${1#*_}
+    rest=${rest#*_}
     [ "$(started "${rest%_*}")" != "${rest#*_}" ]
 }
 
@@ -146,6 +148,22 @@ print_cpu() {
 # How far CLOCK_REALTIME is ahead of CLOCK_MONOTONIC.
 print_realtime() {
     sed -n '/^ clock 1:/,/offset/{s,^ *\.offset: *\(-\{0\,1\}[0-9]*\) nsecs.*,realtime \1,p;/offset/q;}' /proc/timer_list
+} 2>/dev/null
+
+# Mark a round in a trace of CLOCK_MONOTONIC_RAW, and before and after that in the trace of CLOCK_MONOTONIC.
+mark_raw() {
+    [ -n "$raw" ] || return 0
+    for _ in 1 2 3 4 5; do
+        mark "raw $1"
+        echo "rtrun raw $1" >"$raw/trace_marker"
+        mark "raw $1"
+    done
+} 2>/dev/null
+
+# In microseconds, as the kernel prints them.
+print_raw() {
+    [ -n "$raw" ] || return 0
+    sed -n "s,.* \([0-9]*\)\.\([0-9]\{6\}\): tracing_mark_write: rtrun raw $1\$,raw $1 \1\2,p" "$raw/trace"
 } 2>/dev/null
 
 print_formats() {
@@ -305,10 +323,12 @@ print_rounds() {
         number=$((number + 1))
         mark "round $number"
         echo "round $number" || exit 1
+        mark_raw $number
         read -r now _ </proc/uptime
         print_realtime
+        print_raw $number
         for cpu in "$instance"/per_cpu/cpu*; do print_cpu "$cpu"; done
-        [ -z "$is_last" ] || break
+        [ -z "$is_last" ] || { print_raw 0; break; }
         [ -z "$is_ended" ] || continue
         print_programs
         rest_above_limit
@@ -325,6 +345,7 @@ take_off() {
     trap - EXIT
     if [ -n "$sleeper" ]; then send_child KILL "$sleeper"; fi
     if [ -n "$printer" ]; then
+        mark_raw 0
         echo 0 >"$instance/tracing_on"
         send_child USR1 "$printer"
         give_time "$printer"
@@ -333,6 +354,7 @@ take_off() {
     kill -TERM 0
     word=done
     remove "$name" || word="left $name"
+    [ -z "$raw" ] || remove "raw_$name" || word="left raw_$name"
     # A dead link takes no more lines.
     echo "rtrun end $word" &
     give_time $!
@@ -387,6 +409,7 @@ esac
 namespace=${namespace:-0}
 group=rtrun_observe_$name
 instance=$tracing/instances/rtrun-observe-$name
+raw=
 printer=
 sleeper=
 remove_leftovers
@@ -441,6 +464,12 @@ while read -r word one two three rest; do
     loops) functions="$one $two $three $rest" ;;
     name) names="${names:+$names
 }$(printf '%s' "$one" | tr '\001' ' ')" ;;
+    raw)
+        raw=$tracing/instances/rtrun-observe-raw_$name
+        # Few kilobytes hold the marks of the last rounds.
+        { mkdir "$raw" && echo mono_raw >"$raw/trace_clock" && echo 16 >"$raw/buffer_size_kb"; } 2>/dev/null ||
+            { remove "raw_$name" && raw=; }
+        ;;
     go) is_told=1 && break ;;
     esac
 done

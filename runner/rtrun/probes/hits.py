@@ -11,11 +11,16 @@ _INTERPRETER = re.compile(r"python[0-9.]*")
 GAPS_MAX = 10_000
 """The highest number of gaps of one cause in an observation; beyond that, gaps that lie close together become one."""
 
-HITS_CLOCK = "steady"
-"""The clock of the hits, CLOCK_MONOTONIC. The offset of any other clock to it has to be read.
+HITS_CLOCK, SYSTEM, RAW = "steady", "system", "raw"
+"""The clock of the hits, CLOCK_MONOTONIC; CLOCK_REALTIME; CLOCK_MONOTONIC_RAW. The offset of the others has to be read."""
 
-``system`` is CLOCK_REALTIME, ``raw`` is CLOCK_MONOTONIC_RAW.
-"""
+
+class ClockReading(NamedTuple):
+    """Another clock was `offset_ns` ahead of the hits' clock when that showed `at_ns`."""
+
+    clock: str
+    at_ns: int
+    offset_ns: int
 
 
 class Hit(NamedTuple):

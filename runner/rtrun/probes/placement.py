@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from rtfiles import cache
 from rtfiles.untrusted import MIB, read_bytes
-from rtrun.probes.libraries.description import Argument, Probe, libraries
+from rtrun.probes.hits import RAW
+from rtrun.probes.libraries.description import Argument, Named, Probe, libraries
 from rtrun.probes.programs import MappedLibrary, ObservableProgram
 from rtrun.probes.symbols import FILE_BYTES_MAX, LibrarySymbols, NotProbed, read_symbols
 from rtrun.probes.values import recorded
@@ -68,6 +69,11 @@ class PlacedProbe:
     constants: Mapping[str, str | int]
     path: str
     """The library's path, as its programs see it."""
+
+    @property
+    def needs_raw(self) -> bool:
+        """Whether its times may be of CLOCK_MONOTONIC_RAW."""
+        return any(isinstance(each, Named) and RAW in each.names.values() for each in self.arguments.values())
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -272,7 +278,9 @@ def _resolve(link: "Link", file: _LibraryFile) -> LibrarySymbols | NotProbed:
         (folder / path.name).rename(folder / "library")
 
     known = libraries().values()
-    names = {symbol for library in known for probe in library.probes for symbol in probe.symbols}
+    probes = [probe for library in known for probe in library.probes]
+    names = {symbol for probe in probes for symbol in probe.symbols}
+    names |= {beside.symbol for probe in probes for beside in (probe.only_with, probe.only_without) if beside}
     try:
         library = cache.entry(KIND, file.sha256, download) / "library"
     except (ConnectionLost, TargetGone):

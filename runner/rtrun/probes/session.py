@@ -144,6 +144,7 @@ class _Watching:
         self._script = str(scripts / "watch_probes.sh")
         watched = " ".join(str(each.program.pid) for each in programs)
         lines = [*(probe.line for probe in placement.probes), *([f"watch {watched}"] if watched else [])]
+        lines += ["raw"] if any(probe.needs_raw for probe in placement.probes) else []
         lines += [*(loops.lines if loops is not None else ()), "go", ""]
         self._stdin = "\n".join(lines).encode()
         self.is_over = threading.Event()

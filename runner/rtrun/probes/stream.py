@@ -14,7 +14,7 @@ from operator import itemgetter
 from rtfiles.untrusted import whole_number
 from rtrun.kinds.limits import CPUS_MAX, PID_MAX, WALL_TIME_MAX_NS
 from rtrun.probes.formats import EventFormat
-from rtrun.probes.hits import Gap, GapCause, Hit
+from rtrun.probes.hits import RAW, SYSTEM, ClockReading, Gap, GapCause, Hit
 from rtrun.probes.kernel_events import EventKind, KernelEvents, WaitingEvents
 from rtrun.probes.placement import PlacedProbe
 from rtrun.probes.programs import LINE_BYTES_MAX, THREADS_MAX, ObservableProgram, ProgramReader
@@ -47,6 +47,8 @@ _ROUNDS_AHEAD_MAX = 120
 # itself did not run counts no more than the time between two beats.
 _ROUND_MAX_S = 300.0
 _PAUSE_MAX_S = 10.0
+# Rounds whose marks for CLOCK_MONOTONIC_RAW wait for their lines, and marks of a round: watch_probes.sh makes ten.
+_RAW_ROUNDS_MAX, _RAW_MARKS_MAX = 16, 100
 _PRINT = "print"
 _PROGRAMS = "programs"
 TOO_MANY = "more events came than can be read"
@@ -61,9 +63,9 @@ class Batch:
     Recording began at `begin_ns`, which is 0 if that is not known yet.
 
     `kernel` are the kernel's own events: their names have a slash, as sched/sched_switch. Their values are those of
-    their format, and `common_flags` and `common_preempt_count`, decoded when asked for. `realtime_offset_ns` is how far
-    CLOCK_REALTIME is ahead of CLOCK_MONOTONIC, None if the target does not show it. `programs` are new, or their
-    threads have changed; `ended` has the pids of those that ended. Times are of CLOCK_MONOTONIC.
+    their format, and `common_flags` and `common_preempt_count`, decoded when asked for. `clocks` has how other clocks
+    stood, as far as the target shows it. `programs` are new, or their threads have changed; `ended` has the pids of
+    those that ended. Times are of CLOCK_MONOTONIC.
     """
 
     begin_ns: int
@@ -73,7 +75,12 @@ class Batch:
     gaps: tuple[Gap, ...]
     programs: tuple[ObservableProgram, ...]
     ended: tuple[int, ...]
-    realtime_offset_ns: int | None
+    clocks: tuple[ClockReading, ...]
+
+    @property
+    def realtime_offset_ns(self) -> int | None:
+        """How far CLOCK_REALTIME is ahead of CLOCK_MONOTONIC at the end; None if the target does not show it."""
+        return next((each.offset_ns for each in self.clocks if each.clock == SYSTEM), None)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -166,6 +173,10 @@ class WatchReader:
         """What was listed since the last batch."""
         self._ended: list[int] = []
         self._realtime_offset_ns: int | None = None
+        self._raw_ns: dict[int, tuple[list[int], list[int]]] = {}
+        """By round: the times of marks, and those of the marks between two of them by CLOCK_MONOTONIC_RAW."""
+        self._raw_width_ns: int | None = None
+        """The least time between two marks."""
         self._round: int | None = None
         self._mark_ns: int | None = None
         """When the round that is being read began."""
@@ -271,6 +282,10 @@ class WatchReader:
             self._realtime_offset_ns = whole_number(rest, lowest=-WALL_TIME_MAX_NS, highest=WALL_TIME_MAX_NS)
         elif word == "unfollowed":
             self.unfollowed = max(self.unfollowed, whole_number(rest, lowest=1, highest=PID_MAX))
+        elif word == "raw":
+            of_round, _, at_us = rest.partition(" ")
+            raw_ns = whole_number(at_us, lowest=0, highest=WALL_TIME_MAX_NS // 1000) * 1000
+            self._raw_marks(whole_number(of_round, lowest=0))[1].append(raw_ns)
         elif word == "ended":
             pid = whole_number(rest, lowest=1, highest=PID_MAX)
             if len(self._ended) < _ENDED_MAX:
@@ -373,12 +388,40 @@ class WatchReader:
         if word == "round":
             if whole_number(rest, lowest=1) == self._round:
                 self._mark_ns = at_ns
+        elif word == "raw":
+            self._raw_marks(whole_number(rest, lowest=0))[0].append(at_ns)
         elif word == "rests":
             self._rests_ns = at_ns
         elif word == "observes":
             if self.begin_ns:
                 self._end_rest(at_ns)
             self.begin_ns = self.begin_ns or at_ns
+
+    def _raw_marks(self, of_round: int) -> tuple[list[int], list[int]]:
+        if of_round not in self._raw_ns and len(self._raw_ns) >= _RAW_ROUNDS_MAX:
+            self._raw_ns.clear()
+        marks = self._raw_ns.setdefault(of_round, ([], []))
+        for each in marks:
+            del each[_RAW_MARKS_MAX:]
+        return marks
+
+    def _clocks(self, until_ns: int) -> Iterator[ClockReading]:
+        """The offsets of other clocks that were read in this round."""
+        if self._realtime_offset_ns is not None:
+            yield ClockReading(SYSTEM, until_ns, self._realtime_offset_ns)
+        for of_round, (marks, raw) in sorted(self._raw_ns.items(), key=lambda each: each[1][0][:1]):
+            if not raw or len(marks) != 2 * len(raw):
+                # A line comes before the marks that belong to it; or marks were lost.
+                continue
+            del self._raw_ns[of_round]
+            width_ns, before_ns, at_ns = min(
+                (after - before, before, at) for before, after, at in zip(marks[::2], marks[1::2], raw, strict=True)
+            )
+            self._raw_width_ns = min(width_ns, self._raw_width_ns or width_ns)
+            # What writes the marks may be kept from its CPU between any two.
+            if 0 <= width_ns <= 2 * self._raw_width_ns:
+                middle_ns = before_ns + width_ns // 2
+                yield ClockReading(RAW, middle_ns, at_ns - middle_ns)
 
     def _end_rest(self, until_ns: int) -> None:
         """Add the gap of a rest: since its mark or, if that was lost, since the end of the batch before."""
@@ -427,7 +470,7 @@ class WatchReader:
             gaps=gaps,
             programs=self._programs.found,
             ended=tuple(self._ended),
-            realtime_offset_ns=self._realtime_offset_ns,
+            clocks=tuple(self._clocks(until_ns)),
         )
         self._programs, self._ended = ProgramReader(self._origin, self._loops), []
         return batch

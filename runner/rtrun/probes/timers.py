@@ -1,8 +1,8 @@
 """Checks of what a probe read from a timer's own members, before it is passed on.
 
-The members are not part of any interface: a release that is not known here may have others there. A period is passed on
-if it can be one. The time at which the timer was to fire is passed on if it is whole periods after that of the call
-before.
+The members are not part of any interface: a release that is not known here may have others there. The time at which the
+timer was to fire is passed on if it is whole periods after that of the call before. A period is passed on once that has
+shown it: a pointer taken for nanoseconds is a period of a day.
 """
 
 from collections.abc import Hashable
@@ -15,7 +15,8 @@ class TimerChecks:
     """The timers whose calls were seen, by an identity of each."""
 
     def __init__(self) -> None:
-        self._before: dict[Hashable, tuple[int, int]] = {}
+        self._before: dict[Hashable, tuple[int, int, bool]] = {}
+        """Period and time of the latest call, and whether such times have shown that period."""
 
     def check(self, timer: Hashable, values: dict[str, int | str]) -> None:
         """Remove from the values of a call what cannot be trusted: `expected_ns`, `period_ns` and `clock`."""
@@ -25,13 +26,18 @@ class TimerChecks:
                 values.pop(name, None)
             self._before.pop(timer, None)
             return
-        if not isinstance(expected_ns, int):
-            return
         before = self._before.get(timer)
         if before is None and len(self._before) >= _TIMERS_MAX:
             self._before.clear()
-        self._before[timer] = (period_ns, expected_ns)
+        is_same = before is not None and before[0] == period_ns
+        is_shown = is_same and before is not None and before[2]
         # Its first call, or the first after it was set again: there is nothing to compare with.
-        step_ns = expected_ns - before[1] if before is not None and before[0] == period_ns else 0
+        step_ns = expected_ns - before[1] if isinstance(expected_ns, int) and before is not None and is_same else 0
         if step_ns <= 0 or step_ns % period_ns:
-            del values["expected_ns"]
+            values.pop("expected_ns", None)
+        else:
+            is_shown = True
+        if isinstance(expected_ns, int):
+            self._before[timer] = (period_ns, expected_ns, is_shown)
+        if not is_shown:
+            del values["period_ns"]

@@ -36,6 +36,8 @@ void ros_trace_callback_end(const void *c)
     __asm__ volatile("" : : "r"(c));
 }
 #elif defined(LIBRARY_rcl)
+/* It tells Iron and later from Humble. */
+int rcl_timer_set_on_reset_callback(struct timer *timer) { return timer == NULL; }
 int rcl_timer_call_with_info(struct timer *timer, struct call_info *info)
 {
     info->expected = timer->data->next;

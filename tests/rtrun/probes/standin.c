@@ -32,6 +32,8 @@ void ros_trace_rmw_take(const struct endpoint *e, const void *m, int64_t t, _Boo
     __asm__ volatile("" : : "r"(e), "r"(m), "r"(t), "r"(taken));
 }
 #elif defined(LIBRARY_rcl)
+/* It tells Iron and later from Humble. */
+int rcl_timer_set_on_reset_callback(struct timer *timer) { return timer == NULL; }
 int rcl_timer_call_with_info(struct timer *timer, void *info)
 {
     timer->data->next += timer->data->period;

@@ -26,13 +26,20 @@ LIBRARIES = ("tracetools", "rcl")
 EVENTS = [each for each in events() if each not in ("wait", "guard_trigger", "request_take", "response_take")]
 
 
-def build(folder: Path, *compiler: str, source: Path = SOURCE, libraries: Sequence[str] = LIBRARIES) -> Path:
+def build(
+    folder: Path,
+    *compiler: str,
+    source: Path = SOURCE,
+    libraries: Sequence[str] = LIBRARIES,
+    defined: Sequence[str] = (),
+) -> Path:
     """Compile a stand-in with its libraries into a folder, for this machine unless a compiler is given."""
     if not compiler:
         # As Ubuntu 24.04 compiles its packages, and Debian does not.
         ubuntu = ("-fcf-protection=branch", "-fno-omit-frame-pointer", "-mno-omit-leaf-frame-pointer")
         compiler = ("cc", *(ubuntu if platform.machine() == "x86_64" else ()))
     folder.mkdir(exist_ok=True)
+    compiler = (*compiler, *(f"-D{word}" for word in defined))
     for name in libraries:
         library = ["-shared", "-fPIC", f"-DLIBRARY_{name}", "-o", f"{folder}/lib{name}.so"]
         subprocess.run([*compiler, "-O2", *library, source], check=True)
@@ -76,7 +83,9 @@ def observed(
 
 def left() -> list[str]:
     """What observations of this test process have in this machine's trace; those of other workers have more there."""
-    ours = re.compile(rf"rtrun[-_]observe[-_]{Path('/proc/self/ns/pid').stat().st_ino}_([0-9]+)_[0-9]+", re.ASCII)
+    ours = re.compile(
+        rf"rtrun[-_]observe[-_](?:raw_)?{Path('/proc/self/ns/pid').stat().st_ino}_([0-9]+)_[0-9]+", re.ASCII
+    )
     probes = (line.partition(" ")[0] for line in (TRACING / "uprobe_events").read_text().splitlines())
     instances = (path.name for path in TRACING.glob("instances/*"))
     found = {name: match[1] for name in (*probes, *instances) if (match := ours.search(name))}

@@ -224,7 +224,9 @@ def test_leftovers_of_the_dead_alone_are_removed(here, standin):
     start = Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19]
     living, dead = f"{namespace}_{os.getpid()}_{start}", f"{namespace}_{os.getpid()}_1"
     elsewhere = f"1_{os.getpid()}_1"
-    instances = [f"rtrun-observe-{name}" for name in (living, dead, elsewhere)] + ["rtrun-observer", "others"]
+    names = (living, f"raw_{living}", dead, f"raw_{dead}", elsewhere)
+    instances = [f"rtrun-observe-{name}" for name in names] + ["rtrun-observer", "others"]
+    of_dead = {name for name in instances if name.endswith(dead)}
     groups = [f"rtrun_observe_{name}" for name in (living, dead, elsewhere)] + ["others"]
     with running(standin, 100, 10**9) as process:
         (found,) = find(here, process.pid)
@@ -234,11 +236,10 @@ def test_leftovers_of_the_dead_alone_are_removed(here, standin):
                 (TRACING / "instances" / name).mkdir()
             for group in groups:
                 tell(f"p:{group}/x {place_of}")
-                (TRACING / "instances" / instances[1] / "events" / group / "x" / "enable").write_text("1")
+                (TRACING / f"instances/rtrun-observe-{dead}/events" / group / "x" / "enable").write_text("1")
             *_, last = observed(here, process.pid, for_s=0.5)
             assert last.is_clean
-            assert {path.name for path in (TRACING / "instances").iterdir()} >= {*instances} - {instances[1]}
-            assert not (TRACING / "instances" / instances[1]).exists()
+            assert {path.name for path in (TRACING / "instances").iterdir()} & {*instances} == {*instances} - of_dead
             kept = (TRACING / "uprobe_events").read_text()
             assert [group for group in groups if f":{group}/x" in kept] == [groups[0], *groups[2:]]
         finally:

@@ -119,7 +119,7 @@ def test_rclpy(here, distro, tmp_path):
     calls = [hit for hit in hits if hit.event == "timer_call" and hit.pid == pids[1]]
     assert {hit.values["period_ns"] for hit in calls} == {10**6} and {hit.values["clock"] for hit in calls} == {"ros"}
     # ROS time is CLOCK_REALTIME here.
-    offset_ns = next(each.realtime_offset_ns for each in results if isinstance(each, Batch))
+    offset_ns = next(each.clocks[0].offset_ns for each in results if isinstance(each, Batch))
     late_ns = np.array(
         [hit.at_ns + offset_ns - hit.values["expected_ns"] for hit in calls if "expected_ns" in hit.values]
     )

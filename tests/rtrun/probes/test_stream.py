@@ -70,7 +70,11 @@ def test_batches_of_pieces_of_any_size(piece):
     assert [gap.reason.partition(":")[0] for batch in batches for gap in batch.gaps] == [
         "the kernel lost events of CPU 1", "the probes rested"
     ]  # fmt: skip
-    assert reader.is_done and reader.lost == 9 and batches[-1].realtime_offset_ns == 100
+    assert (
+        reader.is_done
+        and reader.lost == 9
+        and [(each.clock, each.offset_ns) for each in batches[-1].clocks] == [("system", 100)]
+    )
 
 
 def batches_of(text):
@@ -227,6 +231,27 @@ def test_timers_are_believed_on_their_grid_alone():
 
     calls = [(10, 100), (10, 110), (10, 140), (10, 145), (10, 155), (10, 155), (20, 175), (0, 5), (-5, 0), (10**17, 3)]
     assert [checked(*call) for call in calls] == [
-        (10, None), (10, 110), (10, 140), (10, None), (10, 155), (10, None), (20, None), *[(None, None)] * 3
+        (None, None), (10, 110), (10, 140), (10, None), (10, 155), (10, None), *[(None, None)] * 4
     ]  # fmt: skip
-    assert checked(10, 165, timer=2) == (10, None)
+    assert checked(10, 165, timer=2) == (None, None)
+    # A release whose timers have another pointer there: it is no period of a day.
+    heap = 0x55D0_1234_5678
+    assert [checked(heap, 10**12 + 10**7 * call, timer=3) for call in range(9)] == [(None, None)] * 9
+
+
+def test_how_far_the_raw_clock_is_ahead():
+    """What writes the marks was kept from its CPU in round 2; round 3 has more lines than marks."""
+    begun = BEGUN + b"".join(event(after, mark("raw 1")) for after in (0, 12_000, 5_000, 10_000))
+    second = event(0, mark("round 2")) + event(0, mark("raw 2")) + event(900_000, mark("raw 2"))
+    third = event(0, mark("round 3")) + event(0, mark("raw 3")) + event(9_000, mark("raw 3"))
+    batches = batches_of(
+        output(
+            a_round(1, cpu0=page(1000, begun)) + b"raw 1 700\nraw 1 720\n",
+            a_round(2, cpu0=page(2 * 10**6, second)) + b"raw 2 9999\n",
+            a_round(3, cpu0=page(4 * 10**6, third)) + b"raw 3 9999\nraw 3 9999\n",
+        )
+    )
+    # The begin of the page, what comes before the marks, those before the nearest two, and the middle of these.
+    at_ns = 1000 + 110 + 12_000 + 5_000 + 5_000
+    raw = [reading for batch in batches for reading in batch.clocks if reading.clock == "raw"]
+    assert raw == [("raw", at_ns, 720_000 - at_ns)]
