@@ -14,10 +14,12 @@ from rtrun.flows.threads import CallbackLog, ObservedThread
 from rtrun.flows.timers import ClockOffsets
 from rtrun.flows.topics import TopicRecord
 from rtrun.flows.turns import Turn, TurnRecord
-from rtrun.probes.hits import GAPS_MAX, Gap, GapCause, Hit, ObservedProgram, joined
+from rtrun.probes.hits import GAPS_MAX, SYSTEM, Gap, GapCause, Hit, ObservedProgram, joined
 from rtrun.probes.loops import LoopWatch
 
 HORIZON_NS = 10 * 10**9
+# Both clocks are slewed alike, so any other change of their offset is a step.
+_SET_LEAST_NS = 1000
 
 
 class FlowAccumulator:
@@ -81,6 +83,9 @@ class FlowAccumulator:
 
     def offset(self, clock: str, at_ns: int, offset_ns: int) -> None:
         """Another clock was `offset_ns` ahead of the hits' clock when that showed `at_ns`."""
+        before_ns = self.state.offsets_ns.get(clock, offset_ns)
+        if clock == SYSTEM and abs(offset_ns - before_ns) > _SET_LEAST_NS:
+            self.topics.clock_was_set()
         self.state.offsets_ns[clock] = offset_ns
         self.offsets.add(clock, at_ns, offset_ns)
 
@@ -108,6 +113,8 @@ class FlowAccumulator:
             thread = thread_of(item.pid, item.tid)
             if thread is None:
                 continue
+            if thread.published is not None:
+                thread.published.until_ns, thread.published = at_ns, None
             if (handler := handlers.get(item.event)) is not None:
                 handler(item, thread)
             else:

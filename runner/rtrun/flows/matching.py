@@ -1,22 +1,30 @@
 """Which publication a received message is: by the time stamp of its source, or by its first bytes and length.
 
-A stamp names one message; the same bytes may be published again. So bytes are matched only if their order decides it:
+A stamp names one message. Humble and Iron take it within the publication, where no probe sees it: there the message is
+that of the publication which had begun, and whose thread had not gone on. The same bytes may be published again. So bytes are matched only if their order decides it:
 as many messages were received as were published since a moment at which none of them can have been on their way.
 Three things are taken for granted. Nothing is on its way for longer than the horizon. No unobserved program publishes
 the same bytes on a topic as an observed one. A publisher whose last hundred messages all differed did not publish the
 same bytes while it was not seen.
 """
 
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Sequence
 from itertools import pairwise
+from operator import attrgetter
 from typing import Protocol
 
 from rtrun.flows.messages import End, Payload, Publication, Reception
 from rtrun.flows.observation_state import ObservationState
+from rtrun.probes.hits import SYSTEM
 
 # A stamp travels as a fraction of a second with 32 bits, and may come out a nanosecond or two off.
 _STAMP_ROUNDING_NS = (-2, -1, 1, 2)
+# How long after the begin of a publication its stamp is taken: serializing is before it, for large messages a millisecond;
+# on a busy machine the thread may wait for a CPU.
+_WRITE_MOSTLY_NS = 10**6
+_WRITE_MAX_NS = 10**8
 # How many publications of one time stamp are kept: each reception has to look at all of them.
 _ALIKE_MAX = 64
 # How many messages in a row have to differ from each other. At 10 Hz they are within the horizon.
@@ -42,13 +50,21 @@ class Fates(Protocol):
 
 
 class StampMatching:
-    """Messages of one topic by the time stamp that their publisher gave them."""
+    """Messages of one topic by the time stamp that their publisher gave them.
 
-    def __init__(self, fates: Fates, horizon_ns: int) -> None:
+    Where that is not seen at the publication, it is the first one that is received and lies within the publication.
+    """
+
+    def __init__(self, fates: Fates, horizon_ns: int, state: ObservationState) -> None:
+        self.has_unstamped = False
+        """Whether publications were seen whose stamps were not."""
         self._fates = fates
         self._horizon_ns = horizon_ns
+        self._state = state
         self._open: dict[int, list[Publication]] = {}
         self._oldest: deque[tuple[int, int]] = deque()
+        self._unstamped: list[Publication] = []
+        """What was published without a stamp, in order. Those that have got one stay: no earlier one of their thread can."""
 
     def publish(self, key: int, publication: Publication) -> None:
         self.expire(publication.at_ns)
@@ -62,6 +78,31 @@ class StampMatching:
             self._open[key] = [publication]
         self._oldest.append((publication.at_ns, key))
 
+    def publish_unstamped(self, publication: Publication) -> None:
+        self.expire(publication.at_ns)
+        self.has_unstamped = True
+        self._unstamped.append(publication)
+
+    def _enclosing(self, key: int) -> list[Publication]:
+        """The publications without a stamp that this one may be of: the nearest, as writing takes microseconds."""
+        offset_ns = self._state.offsets_ns.get(SYSTEM)
+        if offset_ns is None:
+            return []
+        at_ns = key - offset_ns
+        found: list[Publication] = []
+        threads: set[int] = set()
+        for place in reversed(range(bisect_right(self._unstamped, at_ns, key=attrgetter("at_ns")))):
+            publication = self._unstamped[place]
+            took_ns = at_ns - publication.at_ns
+            if took_ns > (_WRITE_MOSTLY_NS if found else _WRITE_MAX_NS):
+                break
+            is_latest = publication.tid not in threads
+            threads.add(publication.tid)
+            until_ns = publication.until_ns
+            if is_latest and not publication.has_stamp and (until_ns is None or at_ns <= until_ns):
+                found.append(publication)
+        return found
+
     def receive(self, key: int, reception: Reception) -> None:
         self.expire(reception.at_ns)
         is_open = self._open
@@ -69,6 +110,12 @@ class StampMatching:
         for step in _STAMP_ROUNDING_NS:
             if key + step in is_open:
                 candidates = candidates + is_open[key + step]
+        if not candidates and self._unstamped:
+            candidates = self._enclosing(key)
+            if len(candidates) == 1:
+                candidates[0].has_stamp = True
+                is_open[key] = candidates
+                self._oldest.append((candidates[0].at_ns, key))
         if len(candidates) == 1:
             (publication,) = candidates
             if reception.endpoint.end in publication.takers:
@@ -86,17 +133,26 @@ class StampMatching:
         while oldest and oldest[0][0] < before_ns:
             for publication in self._open.pop(oldest.popleft()[1], ()):
                 self._fates.forgotten(publication)
+        if self._unstamped and self._unstamped[0].at_ns < before_ns:
+            self._forget_unstamped(bisect_left(self._unstamped, before_ns, key=attrgetter("at_ns")))
+
+    def _forget_unstamped(self, count: int) -> None:
+        for publication in self._unstamped[:count]:
+            if not publication.has_stamp:
+                self._fates.forgotten(publication)
+        del self._unstamped[:count]
 
     @property
     def open(self) -> int:
         """How many messages are remembered."""
-        return len(self._oldest)
+        return len(self._oldest) + len(self._unstamped)
 
     def cut(self) -> None:
         """Forget everything: what comes next must not be joined with what came before."""
         for publications in self._open.values():
             for publication in publications:
                 self._fates.forgotten(publication)
+        self._forget_unstamped(len(self._unstamped))
         self._open.clear()
         self._oldest.clear()
 

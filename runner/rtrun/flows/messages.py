@@ -88,9 +88,12 @@ SUBSCRIPTIONS = HandleTable[Endpoint]()
 
 
 class Publication:
-    """One call of publish. `begins`: when each path that it is on began, by path and place."""
+    """One call of publish. `begins`: when each path that it is on began, by path and place.
 
-    __slots__ = ("at_ns", "begins", "cpu", "endpoint", "index", "takers", "tid")
+    `until_ns` is when its thread did something else; None: that is not known. `has_stamp`: its time stamp is known.
+    """
+
+    __slots__ = ("at_ns", "begins", "cpu", "endpoint", "has_stamp", "index", "takers", "tid", "until_ns")
 
     def __init__(self, endpoint: Endpoint, index: int, at_ns: int, tid: int, cpu: int) -> None:
         self.endpoint = endpoint
@@ -100,6 +103,8 @@ class Publication:
         self.cpu = cpu
         self.takers: tuple[End, ...] = ()
         self.begins: dict[tuple[int, int], int] = {}
+        self.until_ns: int | None = None
+        self.has_stamp = False
 
 
 class Reception:

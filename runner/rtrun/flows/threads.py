@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from rtrun.flows.messages import Reception
+from rtrun.flows.messages import Publication, Reception
 from rtrun.flows.programs import HandleTable, LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
 from rtrun.flows.timers import LivingTimer, TimerCall
@@ -128,7 +128,8 @@ class ObservedThread:
     """
 
     __slots__ = (
-        "callbacks", "cause", "has_callbacks", "has_ended", "has_waited", "process", "taken", "tid", "triggers", "turn",
+        "callbacks", "cause", "has_callbacks", "has_ended", "has_waited", "process", "published", "taken", "tid", "triggers",
+        "turn",
     )  # fmt: skip
 
     def __init__(self, tid: int, process: LivingProcess) -> None:
@@ -148,6 +149,8 @@ class ObservedThread:
         self.has_callbacks = False
         self.has_waited = False
         self.turn: OpenTurn | None = None
+        self.published: Publication | None = None
+        """The publication that was its last hit, if that does not show its time stamp."""
         self.triggers: int | None = None
         """Since the last message was taken; None: it was never seen to trigger, so it may not be rclpy."""
         self.taken: int | None = None

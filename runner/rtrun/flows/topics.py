@@ -74,9 +74,15 @@ class TopicRecord(MessageRecord):
             matching.cut()
         self.unlink()
 
+    def clock_was_set(self) -> None:
+        """Stamps of before belong to no publication of now."""
+        if any(matching.has_unstamped for matching in self._by_stamp.values()):
+            self.cut()
+
     def told_apart_by(self, topic: str) -> str:
         """What is compared to tell the messages of a topic apart, in words."""
-        by = ["time stamp"] * (topic in self._by_stamp)
+        stamps = self._by_stamp.get(topic)
+        by = [] if stamps is None else ["time of publication" if stamps.has_unstamped else "time stamp"]
         by += [f"first {_KEY_BYTES} bytes and length"] * (topic in self._by_bytes)
         return " or ".join(by)
 
@@ -107,7 +113,10 @@ class TopicRecord(MessageRecord):
             self._stamped(endpoint.topic).publish(key, publication)
         elif key is not None:
             self._unstamped(endpoint.topic).publish(key, publication)
-        # Otherwise a release of ROS 2 that does not show the stamp: a message was published, but which is not known.
+        else:
+            # Humble and Iron do not show the stamp here: it lies between this and what the thread does next.
+            self._stamped(endpoint.topic).publish_unstamped(publication)
+            thread.published = publication
 
     def _take(self, hit: Hit, thread: ObservedThread) -> None:
         if not hit.values.get("taken", 1):
@@ -176,7 +185,7 @@ class TopicRecord(MessageRecord):
     def _stamped(self, topic: str) -> StampMatching:
         matching = self._by_stamp.get(topic)
         if matching is None:
-            matching = self._by_stamp[topic] = StampMatching(self, self._horizon_ns)
+            matching = self._by_stamp[topic] = StampMatching(self, self._horizon_ns, self._state)
         return matching
 
     def _unstamped(self, topic: str) -> PayloadMatching:

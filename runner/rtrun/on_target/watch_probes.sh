@@ -153,7 +153,7 @@ print_realtime() {
 # Mark a round in a trace of CLOCK_MONOTONIC_RAW, and before and after that in the trace of CLOCK_MONOTONIC.
 mark_raw() {
     [ -n "$raw" ] || return 0
-    for _ in 1 2 3 4 5; do
+    for _ in 1 2 3 4 5 6 7 8; do
         mark "raw $1"
         echo "rtrun raw $1" >"$raw/trace_marker"
         mark "raw $1"

@@ -12,7 +12,7 @@ GAPS_MAX = 10_000
 """The highest number of gaps of one cause in an observation; beyond that, gaps that lie close together become one."""
 
 HITS_CLOCK, SYSTEM, RAW = "steady", "system", "raw"
-"""The clock of the hits, CLOCK_MONOTONIC; CLOCK_REALTIME; CLOCK_MONOTONIC_RAW. The offset of the others has to be read."""
+"""The clock of the hits, CLOCK_MONOTONIC; CLOCK_REALTIME and CLOCK_MONOTONIC_RAW, whose offsets have to be read."""
 
 
 class ClockReading(NamedTuple):

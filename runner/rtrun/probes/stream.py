@@ -47,8 +47,10 @@ _ROUNDS_AHEAD_MAX = 120
 # itself did not run counts no more than the time between two beats.
 _ROUND_MAX_S = 300.0
 _PAUSE_MAX_S = 10.0
-# Rounds whose marks for CLOCK_MONOTONIC_RAW wait for their lines, and marks of a round: watch_probes.sh makes ten.
+# Rounds whose marks for CLOCK_MONOTONIC_RAW wait for their lines, and marks of a round: watch_probes.sh makes 16.
 _RAW_ROUNDS_MAX, _RAW_MARKS_MAX = 16, 100
+# Marks that lie so near one another are near enough, and so are those that are not twice as far as ever.
+_RAW_WIDTH_NS = 40_000
 _PRINT = "print"
 _PROGRAMS = "programs"
 TOO_MANY = "more events came than can be read"
@@ -419,7 +421,7 @@ class WatchReader:
             )
             self._raw_width_ns = min(width_ns, self._raw_width_ns or width_ns)
             # What writes the marks may be kept from its CPU between any two.
-            if 0 <= width_ns <= 2 * self._raw_width_ns:
+            if 0 <= width_ns <= max(2 * self._raw_width_ns, _RAW_WIDTH_NS):
                 middle_ns = before_ns + width_ns // 2
                 yield ClockReading(RAW, middle_ns, at_ns - middle_ns)
 

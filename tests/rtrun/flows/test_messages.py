@@ -493,13 +493,55 @@ def test_hits_that_cannot_be_read_are_counted():
     assert messages(observed) == {}
 
 
-def test_a_publication_without_a_key_is_one_of_a_message_that_is_not_known():
-    """Humble's trace point has no stamp."""
+def unstamped(at_ns, pid=1, topic="/a"):
+    return hit(at_ns, "publish", pid=pid, endpoint=0xA0, topic=topic)
+
+
+def test_a_stamp_that_is_not_seen_lies_within_its_publication():
+    """As in Humble, whose trace point has no stamp."""
     observed = FlowAccumulator(begin_ns=0)
-    observed.feed([hit(at_ns, "publish", endpoint=1, topic="/a") for at_ns in (1, 2)] + [take(3, 1)])
-    assert ends(observed)["publisher", "process 1"].counts["messages"] == 2
-    assert ends(observed)["subscriber", "process 2"].counts["unmatched"] == 1
-    assert messages(observed) == {}
+    observed.observe([node(1, "talker"), node(3, "other"), node(2, "listener")])
+    # How the clock stands is not known yet.
+    observed.feed([unstamped(100), take(150, 110)])
+    observed.offset("system", 200, WALL_NS)
+    # One message for two subscribers; then one of a publisher that is not observed, though the thread does nothing else.
+    observed.feed([unstamped(1000), take(1100, 1010), take(1150, 1010, pid=4, endpoint=0xB4), take(1500, 1400)])
+    # The thread went on before the stamp was taken.
+    observed.feed([unstamped(2000), hit(2020, "callback_end", callback=1), take(2100, 2030)])
+    # Two at the same time; the second one has begun after the stamp.
+    observed.feed([unstamped(3000), unstamped(3011, 3), take(3100, 3010), take(3200, 3020)])
+    # What the other one published long before, and nobody took, is not it.
+    observed.feed([unstamped(4 * MS, 3), unstamped(8 * MS), take(8 * MS + 100, 8 * MS + 10)])
+    # A thread that had to wait for a CPU before it took the stamp.
+    observed.feed([unstamped(20 * MS), take(51 * MS, 50 * MS)])
+    observed.finish()
+    pairs = messages(observed)
+    columns = pairs["/talker", "/listener"].columns
+    assert columns["publication_ns"].tolist() == [1000, 3000, 8 * MS, 20 * MS]
+    assert columns["reception_ns"].tolist() == [1100, 3100, 8 * MS + 100, 51 * MS]
+    assert pairs["/other", "/listener"].columns["publication_ns"].tolist() == [3011]
+    assert pairs["/talker", "process 4"].columns["publication_ns"].tolist() == [1000]
+    assert pairs["/talker", "/listener"].counts["lost"] == 1 and pairs["/talker", "/listener"].remarks == ()
+    taken = ends(observed)["subscriber", "/listener"].counts
+    assert (taken["received"], taken["unmatched"], taken["ambiguous"]) == (5, 3, 0)
+
+
+def test_stamps_within_two_publications():
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "talker"), node(3, "other"), node(2, "listener")])
+    observed.offset("system", 0, WALL_NS)
+    observed.feed([unstamped(1000), unstamped(1005, 3), take(1100, 1010), take(1200, 1011), take(1300, 1012)])
+    # The clock is set back: what was published before that is not known by its stamp any more, nor is it lost.
+    observed.feed([unstamped(20 * MS)])
+    observed.offset("system", 25 * MS, WALL_NS - 10 * MS)
+    observed.feed([take(26 * MS, 10 * MS + 10), unstamped(30 * MS), take(31 * MS, 20 * MS + 10)])
+    observed.finish()
+    stream = messages(observed)["/talker", "/listener"]
+    assert stream.columns["publication_ns"].tolist() == [30 * MS] and stream.counts["ambiguous"] == 1
+    assert stream.remarks == (
+        "not known of 1 publication whether they came: other messages have the same time of publication",
+    )
+    assert ends(observed)["subscriber", "/listener"].counts["ambiguous"] == 3
 
 
 def test_names_that_are_alike_when_printed_stay_two():

@@ -155,7 +155,7 @@ int main(int argc, char **argv)
         struct timer_data *data = calloc(1, sizeof *data);
         data->clock = &steady;
         data->period = 5000000;
-        data->next = now_ns(STEADY) + data->period + i * 1000;
+        data->next = now_ns(STEADY) + data->period + i * 300000;
 #if defined(LYRICAL)
         data->callback_data = data;
 #endif

@@ -84,7 +84,7 @@ class EndSource:
         # Their publishers are not known, so they do not count as losses of a pair.
         remark = (
             f"{counted(end.unmatched, 'message')} came whose publication was not seen, of whatever publisher:"
-            " published before, in a gap, by a program that is not observed, too long ago, or by ROS 1 with a"
-            " header whose stamp is no wall time"
+            " published before, in a gap, by a program that is not observed, or too long ago; in ROS 1 with a header"
+            " whose stamp is no wall time; in Humble and Iron while the clock was set"
         )
         return counts, (remark,)
