@@ -158,7 +158,9 @@ def test_sources_that_do_not_compile(
     assert (tmp_path / "work/built/built_with").read_text() == "compiler before\n"
 
 
-def test_what_cannot_be_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_be_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = [str(builder.sources()), "--target"]
     (tmp_path / "suites").mkdir()
     (tmp_path / "suites/build.json").write_text("{}")
@@ -169,3 +171,10 @@ def test_what_cannot_be_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[
         said = refused([*words, target_file(tmp_path, ros_setup=setup)], capsys)
         assert f"{setup}: {wrong}" in said or f"{setup} {wrong}" in said, said
     assert rtgen(["suites", "build", "--on", "target.yml", "--machine", "host"]) == 2
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib/librcl.so").touch()
+    (tmp_path / "setup.sh").write_text("echo a word; export AMENT_PREFIX_PATH=/\n")
+    monkeypatch.setenv("ROS_VERSION", "2")
+    capsys.readouterr()
+    assert rtgen(["suites", "build", "--ros2", str(tmp_path)]) == 2
+    assert "its setup.sh sets no ROS_VERSION: install its package ros_environment" in capsys.readouterr().err

@@ -25,6 +25,7 @@ SCHEMA = 1
 TOOLCHAIN_FILE = Path(__file__).with_name("debian.cmake")
 # The script in sources() that builds packages with a ROS of this machine.
 ROS_SCRIPT = "build.sh"
+_ROS_VERSION = 'unset ROS_VERSION; . "$1" >&2; echo "${ROS_VERSION:-}"'
 FLAGS = "-O2"
 SUPPORT = "rt_tests_support"
 # The C program that observes a target while it measures.
@@ -110,6 +111,9 @@ def toolchain(machine: str, suite: str | None, ros2: Path | None = None) -> Tool
         for needed in ("setup.sh", "lib/librcl.so"):
             if ros2 and not (ros2 / needed).exists():
                 raise UsageError(f"--ros2 {ros2}: has no {needed}: give the folder of a ROS 2, as /opt/ros/jazzy")
+        # Without it, the suites' CMake finds no ROS 2, and builds nothing.
+        if ros2 and run(["sh", "-c", _ROS_VERSION, "sh", ros2 / "setup.sh"]).strip() != "2":
+            raise UsageError(f"--ros2 {ros2}: its setup.sh sets no ROS_VERSION: install its package ros_environment")
         listing, compiler = "", version("g++")
         try:
             listing = run(["dpkg-query", "--show", *HOST_PACKAGES])

@@ -1,11 +1,13 @@
 """Which publication a received message is: by the time stamp of its source, or by its first bytes and length.
 
 A stamp names one message. Humble and Iron take it within the publication, where no probe sees it: there the message is
-that of the publication which had begun, and whose thread had not gone on. The same bytes may be published again. So bytes are matched only if their order decides it:
-as many messages were received as were published since a moment at which none of them can have been on their way.
-Three things are taken for granted. Nothing is on its way for longer than the horizon. No unobserved program publishes
-the same bytes on a topic as an observed one. A publisher whose last hundred messages all differed did not publish the
-same bytes while it was not seen.
+that of the publication which had begun, and whose thread had not gone on.
+
+The same bytes may be published again. So bytes are matched only if their order decides it: as many messages were
+received as were published since a moment at which none of them can have been on their way. Three things are taken for
+granted. Nothing is on its way for longer than the horizon. No unobserved program publishes the same bytes on a topic as
+an observed one. A publisher whose last hundred messages all differed did not publish the same bytes while it was not
+seen.
 """
 
 from bisect import bisect_left, bisect_right
@@ -21,8 +23,8 @@ from rtrun.probes.hits import SYSTEM
 
 # A stamp travels as a fraction of a second with 32 bits, and may come out a nanosecond or two off.
 _STAMP_ROUNDING_NS = (-2, -1, 1, 2)
-# How long after the begin of a publication its stamp is taken: serializing is before it, for large messages a millisecond;
-# on a busy machine the thread may wait for a CPU.
+# How long after the begin of a publication its stamp is taken. Large messages are serialized before that, which takes a
+# millisecond; on a busy machine the thread may wait for a CPU.
 _WRITE_MOSTLY_NS = 10**6
 _WRITE_MAX_NS = 10**8
 # How many publications of one time stamp are kept: each reception has to look at all of them.
@@ -64,7 +66,7 @@ class StampMatching:
         self._open: dict[int, list[Publication]] = {}
         self._oldest: deque[tuple[int, int]] = deque()
         self._unstamped: list[Publication] = []
-        """What was published without a stamp, in order. Those that have got one stay: no earlier one of their thread can."""
+        """What was published without a stamp, in order. Those that have got one stay: they rule out earlier ones."""
 
     def publish(self, key: int, publication: Publication) -> None:
         self.expire(publication.at_ns)

@@ -128,8 +128,8 @@ class ObservedThread:
     """
 
     __slots__ = (
-        "callbacks", "cause", "has_callbacks", "has_ended", "has_waited", "process", "published", "taken", "tid", "triggers",
-        "turn",
+        "callbacks", "cause", "has_callbacks", "has_ended", "has_waited", "process", "published", "taken", "tid",
+        "triggers", "turn",
     )  # fmt: skip
 
     def __init__(self, tid: int, process: LivingProcess) -> None:

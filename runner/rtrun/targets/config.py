@@ -13,7 +13,6 @@ from pydantic import AfterValidator, Field, model_validator
 
 from rtfiles.config import Config, Place, UserPath, matching, parse, read_yaml_with_place
 from rtfiles.errors import UsageError
-from rtfiles.invocation import as_called
 from rtfiles.output import print_note
 from rtfiles.wording import unknown
 from rtrun.plan.run import KernelName
@@ -243,15 +242,10 @@ def connect(
     places are held, `notify` reports that, and the wait lasts until `is_over`. A health check may take a place in
     quarantine, but does not wait: it raises TargetGone. `preferred` is the place to take if it is free.
     """
-    suites = _resolve(folder, config.suites) if config.suites is not None else None
-    if suites is not None and not suites.is_dir():
-        raise UsageError(f"{suites}: no such folder; suites are built with: {as_called('rtgen')} suites build")
-    if suites is not None and not (suites / "build.json").is_file():
-        raise UsageError(f"{suites}: has no build.json: name the folder that {as_called('rtgen')} suites build printed")
     target = functools.partial(
         Target,
         name=config.name,
-        suites=suites,
+        suites=_resolve(folder, config.suites) if config.suites is not None else None,
         work_dir=PurePosixPath(config.work_dir),
         setup=config.ros_setup,
         master_port=config.ros_master_port,

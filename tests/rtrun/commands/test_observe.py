@@ -1,11 +1,9 @@
 """The number that `rtrun observe` takes in a folder of results."""
 
-import contextlib
-
 import pytest
 
 from rtrun.cli import main
-from rtrun.execution import preparation, run_execution
+from rtrun.execution import run_execution
 from rtrun.results import run_directory
 from rtrun.results.run_state import RunEvent
 from rtrun.targets.errors import TargetError
@@ -22,9 +20,9 @@ def test_an_observation_says_that_it_has_begun(tmp_path, monkeypatch, has_begun)
         assert run_directory.numbers_begun(folder.parent) == dict.fromkeys(["001"] * has_begun, True)
         raise TargetError("nothing is observed here")
 
-    monkeypatch.setattr(preparation, "prepared", lambda *_: contextlib.nullcontext())
     monkeypatch.setattr(run_execution, "measure", measure)
     target = tmp_path / "target.yml"
-    target.write_text(f"schema: 1\nname: here\nkind: local\nwork_dir: {tmp_path}/work\n")
+    # It uses no suites, so nobody has to build them.
+    target.write_text(f"schema: 1\nname: here\nkind: local\nwork_dir: {tmp_path}/work\nsuites: nowhere\n")
     assert main(["observe", "--target", str(target), "--results", str(tmp_path / "results")]) == 3
     assert run_directory.numbers_begun(tmp_path / "results") == {}, "it was not killed"

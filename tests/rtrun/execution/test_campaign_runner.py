@@ -467,7 +467,7 @@ def test_exit_status_of_failed_runs_and_of_a_finished_campaign(target, tmp_path,
         ),
         ("schema: 1\nname: x\nkind: ssh\nhost: h\nwork_dir: /\n", "work_dir: '/' is not a whole path"),
         ("schema: 1\nname: x\nkind: qemu\nboard: nowhere\n", "no board there, make one: "),
-        ("schema: 1\nname: x\nkind: ssh\nhost: 127.0.0.1\nsuites: nowhere\n", "no such folder; suites are built with"),
+        ("schema: 1\nname: x\nkind: local\nsuites: nowhere\n", "no such folder; suites are built with"),
     ],
 )
 def test_bad_target_files(tmp_path, text, message, capsys, monkeypatch):

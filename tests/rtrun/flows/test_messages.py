@@ -504,7 +504,7 @@ def test_a_stamp_that_is_not_seen_lies_within_its_publication():
     # How the clock stands is not known yet.
     observed.feed([unstamped(100), take(150, 110)])
     observed.offset("system", 200, WALL_NS)
-    # One message for two subscribers; then one of a publisher that is not observed, though the thread does nothing else.
+    # One message for two subscribers; then one of a publisher that is not observed, while the thread does nothing.
     observed.feed([unstamped(1000), take(1100, 1010), take(1150, 1010, pid=4, endpoint=0xB4), take(1500, 1400)])
     # The thread went on before the stamp was taken.
     observed.feed([unstamped(2000), hit(2020, "callback_end", callback=1), take(2100, 2030)])

@@ -247,7 +247,11 @@ def _header(lines: Sequence[str]) -> bytes:
 
 
 def check_suites(suites: Path, target: "Target", equipment: Equipment) -> None:
-    """Raise UsageError when a folder of suites is for another architecture or release of Debian than the target's."""
+    """Raise UsageError when a folder has no suites, or those of another architecture or release of Debian."""
+    if not suites.is_dir():
+        raise UsageError(f"{suites}: no such folder; suites are built with: {as_called('rtgen')} suites build")
+    if not (suites / "build.json").is_file():
+        raise UsageError(f"{suites}: has no build.json: name the folder that {as_called('rtgen')} suites build printed")
     release = built_for(suites)
     if release is not None and equipment.debian not in (None, release):
         raise UsageError(
