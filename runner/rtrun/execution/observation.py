@@ -19,7 +19,7 @@ from rtrun.probes.hits import ObservedProgram
 from rtrun.probes.libraries.description import events
 from rtrun.probes.loops import FUNCTIONS, LoopWatch
 from rtrun.probes.loops import THREADS_MAX as LOOPS_MAX
-from rtrun.probes.placement import Placement, place, refusals
+from rtrun.probes.placement import Placement, costly, place, refusals
 from rtrun.probes.programs import ObservableProgram, Roster, find_programs, left_out_in_words
 from rtrun.probes.session import Began, Finished
 from rtrun.results.columns import NoRoom
@@ -111,7 +111,7 @@ class ObservationResult:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What is missing in the observation, one sentence each."""
-        lines = [*refusals(self.began.refused)]
+        lines = [*refusals(self.began.refused), *costly(self.began.placed)]
         lines += self.flows.loops.missing
         if self.finished and self.finished.unfollowed:
             more = counted(self.finished.unfollowed, "more thread")

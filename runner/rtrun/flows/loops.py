@@ -65,8 +65,8 @@ class LoopLog:
     """
 
     __slots__ = (
-        "asked", "cuts", "is_asked", "is_dropped", "is_real_time", "latest", "past_due", "program", "realtime", "responses",
-        "rows", "runs", "thread", "unseen", "wakers", "worst",
+        "asked", "cuts", "is_asked", "is_dropped", "is_real_time", "latest", "past_due", "program", "realtime",
+        "responses", "rows", "runs", "thread", "unseen", "wakers", "worst",
     )  # fmt: skip
 
     def __init__(self, program: str, thread: str, state: ObservationState) -> None:

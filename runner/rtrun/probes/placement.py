@@ -69,6 +69,8 @@ class PlacedProbe:
     constants: Mapping[str, str | int]
     path: str
     """The library's path, as its programs see it."""
+    is_stepped: bool = False
+    """Whether each call takes microseconds longer than at other probes."""
 
     @property
     def needs_raw(self) -> bool:
@@ -93,6 +95,18 @@ def refusals(refused: Sequence[RefusedProbe]) -> tuple[str, ...]:
     return tuple(
         f"no probe {', '.join(dict.fromkeys(events)) if all(events) else 'at all'} in {path}: {reason}"
         for (path, reason), events in alike.items()
+    )
+
+
+def costly(placed: Sequence[PlacedProbe]) -> tuple[str, ...]:
+    """Which probes cost more than others, a sentence for each library."""
+    events: dict[str, list[str]] = {}
+    for each in placed:
+        if each.is_stepped:
+            events.setdefault(each.path, []).append(each.event)
+    return tuple(
+        f"each {' or '.join(dict.fromkeys(names))} in {path} takes some 10 us longer: the kernel single-steps there"
+        for path, names in events.items()
     )
 
 
@@ -175,6 +189,7 @@ def place(link: "Link", found: Sequence[ObservableProgram], *, events: Collectio
                     arguments=probe.arguments[symbols.architecture],
                     constants=probe.constants,
                     path=mapped.path,
+                    is_stepped=symbol_of(probe, symbols) in symbols.stepped,
                 )
             )
     return Placement(probes=tuple(probes), refused=(*refused, *left_out.values()))
@@ -210,7 +225,7 @@ def line_of(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without
     values = probe.arguments.get(symbols.architecture)
     if values is None:
         return NotProbed(f"nothing is known of its arguments on {symbols.architecture}")
-    symbol = next((each for each in probe.symbols if each in symbols.offsets), None)
+    symbol = symbol_of(probe, symbols)
     if symbol is None:
         return NotProbed(f"it has no function {probe.symbols[0]}: {without}")
     offset = symbols.offsets[symbol]
@@ -218,6 +233,11 @@ def line_of(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without
         return NotProbed(f"{symbol}: {offset.reason}")
     words = [f"{value}={fetch}" for value, fetch in recorded(values).items()]
     return " ".join(["p", name, f"{path}:{offset:#x}", *words])
+
+
+def symbol_of(probe: Probe, symbols: LibrarySymbols) -> str | None:
+    """The function that a probe takes; None if a library has none of them."""
+    return next((each for each in probe.symbols if each in symbols.offsets), None)
 
 
 def _look(

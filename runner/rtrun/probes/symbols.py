@@ -4,6 +4,7 @@ A probe is placed at an offset of the file. If the offset is not certain, there 
 other place makes programs compute wrongly.
 """
 
+import re
 import struct
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -35,8 +36,10 @@ _UNDEFINED = 0
 _ARCHITECTURES: dict[tuple[int, int], Architecture] = {(62, 64): "x86_64", (183, 64): "aarch64", (40, 32): "armv7"}
 _EXECUTABLE = 1
 # Functions on x86 begin with this instruction if jumps are guarded, as in Ubuntu; it does nothing. The kernel executes
-# it by a single step, which takes 9 us on a virtual machine. It emulates a push, which mostly follows, in 0.7 us.
+# it by a single step, which takes 9 us on a virtual machine. It emulates a push, which mostly follows, in 0.7 us: also
+# that of r8 to r15, a nop of one byte, calls and jumps to a fixed place (arch/x86/kernel/uprobes.c).
 _ENDBR64 = bytes.fromhex("f30f1efa")
+_EMULATED = re.compile(rb"\x41?[\x50-\x57]|[\x70-\x7f\x90\xe8\xe9\xeb]|\x0f[\x80-\x8f]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,8 @@ class LibrarySymbols:
 
     architecture: Architecture
     offsets: dict[str, int | NotProbed]
+    stepped: frozenset[str] = frozenset()
+    """Those at which the kernel has to execute the program's instruction by a single step."""
 
 
 def read_symbols(path: Path, names: Collection[str]) -> LibrarySymbols | NotProbed:
@@ -110,6 +115,7 @@ def _read(data: bytes, names: Collection[str]) -> LibrarySymbols | NotProbed:
     wanted = {name.encode(): name for name in names}
     longest = max(map(len, wanted), default=0) + 1
     offsets: dict[str, int | NotProbed] = {}
+    stepped: set[str] = set()
     for numbers in entry.iter_unpack(data[symbols_at : symbols_at + count * entry.size]):
         begin = texts + numbers[name_at]
         text, end, _ = data[begin : begin + longest].partition(b"\0")
@@ -119,10 +125,12 @@ def _read(data: bytes, names: Collection[str]) -> LibrarySymbols | NotProbed:
         offset = _offset(numbers[value_at], numbers[type_at] & 15, segments)
         if made_for == "x86_64" and isinstance(offset, int) and data.startswith(_ENDBR64, offset):
             offset += len(_ENDBR64)
+        if made_for == "x86_64" and isinstance(offset, int) and not _EMULATED.match(data, offset):
+            stepped.add(name)
         if name in offsets and offsets[name] != offset:
             offset = NotProbed("its table has two functions of this name")
         offsets[name] = offset
-    return LibrarySymbols(architecture=made_for, offsets=offsets)
+    return LibrarySymbols(architecture=made_for, offsets=offsets, stepped=frozenset(stepped))
 
 
 def _offset(value: int, kind: int, segments: Collection[tuple[int, int, int]]) -> int | NotProbed:

@@ -10,6 +10,7 @@ from probes.standin import EVENTS, find, running
 from rtrun.probes import placement
 from rtrun.targets.address import ThisMachine
 from rtrun.targets.link import Link
+from watched import PROBE
 
 
 @pytest.fixture
@@ -86,3 +87,11 @@ def test_a_program_that_ended_before_its_library_is_looked_at(link, two):
     assert {each.reason for each in placed.refused if each.path.startswith(str(folder))} == {
         "its file cannot be read, as its program has ended meanwhile, or this user is not root"
     }
+
+
+def test_what_costs_more_is_named():
+    probes = [dataclasses.replace(PROBE, event=event, is_stepped=event != "take") for event in ("end", "take", "begin")]
+    assert placement.costly([*probes, dataclasses.replace(probes[0], path="/b")]) == (
+        f"each end or begin in {PROBE.path} takes some 10 us longer: the kernel single-steps there",
+        "each end in /b takes some 10 us longer: the kernel single-steps there",
+    )

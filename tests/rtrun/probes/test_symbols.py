@@ -58,6 +58,23 @@ def test_the_offset_is_that_of_the_code(compiled, compiler, options, architectur
     assert there == expected
 
 
+@pytest.mark.parametrize(
+    ("compiler", "instruction", "is_stepped"),
+    [
+        ("gcc", "push %rbp", False),
+        ("gcc", "push %r15", False),
+        ("gcc", "ret", True),  # of Humble's empty functions
+        ("gcc", "lea 8(%rdi), %rax", True),
+        ("aarch64-linux-gnu-gcc", "ret", False),
+    ],
+)
+def test_where_the_kernel_has_to_step(compiled, compiler, instruction, is_stepped):
+    lines = f".globl probed\\n.type probed,%function\\n.balign 4\\nprobed: {instruction}\\n"
+    lines = lines.replace("%function", "@function") if compiler == "gcc" else lines
+    symbols = read_symbols(compiled(compiler, source=f'__asm__("{lines}");'), ["probed"])
+    assert isinstance(symbols.offsets["probed"], int) and ("probed" in symbols.stepped) is is_stepped
+
+
 def test_thumb_code_is_refused(compiled):
     symbols = read_symbols(compiled("arm-linux-gnueabihf-gcc", "-O2", "-mthumb"), ["probed"])
     assert "Thumb" in symbols.offsets["probed"].reason and "odd" in symbols.offsets["probed"].reason
