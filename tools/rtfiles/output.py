@@ -5,9 +5,11 @@ characters. The reader may go away, and the disk may be full. `surviving_output`
 output, so that a campaign keeps measuring and the exit status stays that of the answer.
 """
 
+import codecs
 import contextlib
 import io
 import os
+import shutil
 import sys
 import time
 from collections.abc import Collection, Iterator, Sequence
@@ -23,6 +25,8 @@ T = TypeVar("T")
 PLAIN_WIDTH = 100  # columns of a table, where the output is not a terminal
 WIDTH_MAX = 1000
 _quiet = False
+_PLAIN = "rtfiles.plain"
+_CLOSEST = {"─": "-", "━": "-", "→": "->", "≤": "<=", "≥": ">=", "…": "...", "·": ".", "×": "x", "µ": "u", "±": "+-"}
 
 
 def printable(text: str) -> str:
@@ -117,7 +121,9 @@ def shows_status() -> bool:
 def print_status(text: str) -> None:
     """Show a line that the next one overwrites, only on a terminal; an empty text removes the line."""
     if shows_status():
-        print(f"\r\x1b[K{printable(text)}", end="", file=sys.stderr, flush=True)
+        # A line that wraps would not be overwritten.
+        line = shortened(printable(text), screen_width() - 1)
+        print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
 
 
 def showing_progress(items: Sequence[T], doing: str) -> Iterator[T]:
@@ -130,18 +136,19 @@ def showing_progress(items: Sequence[T], doing: str) -> Iterator[T]:
         print_status("")
 
 
+def screen_width() -> int:
+    """How many columns a line has: COLUMNS, or else what the terminal has, or PLAIN_WIDTH without a terminal."""
+    return min(shutil.get_terminal_size((PLAIN_WIDTH, 0)).columns, WIDTH_MAX)
+
+
 def console() -> "Console":
-    """A console for tables and bars, as wide as COLUMNS or else the terminal; plain text without a terminal.
+    """A console for tables and bars, as wide as the screen; plain text without a terminal.
 
     It prints text unchanged: text that may come from a target must go through `printable` first.
     """
     from rich.console import Console
 
-    columns = os.environ.get("COLUMNS", "")
-    width = min(int(columns), WIDTH_MAX) if columns.isdecimal() and len(columns) < 9 and int(columns) else None
-    if width is None and not sys.stdout.isatty():
-        width = PLAIN_WIDTH
-    return Console(highlight=False, markup=False, emoji=False, soft_wrap=False, width=width)
+    return Console(highlight=False, markup=False, emoji=False, soft_wrap=False, width=screen_width())
 
 
 @dataclass(kw_only=True, slots=True)
@@ -203,7 +210,17 @@ def _wrapped(stream: TextIO | None, losses: Losses, name: str) -> TextIO:
     # Python has None for a stream that was closed when the program began.
     inner = stream.buffer if stream else io.BytesIO()
     encoding = stream.encoding if stream else "utf-8"
-    # A terminal with another encoding shows what it can.
     return io.TextIOWrapper(
-        io.BufferedWriter(_Survivor(inner, losses, name)), encoding, errors="replace", line_buffering=True
+        io.BufferedWriter(_Survivor(inner, losses, name)), encoding, errors=_PLAIN, line_buffering=True
     )
+
+
+def _in_plain(error: UnicodeError) -> tuple[str, int]:
+    """What is printed for characters that the terminal's encoding lacks: the closest of ASCII, or a question mark."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start : error.end]
+    return "".join(_CLOSEST.get(character, "?") for character in lacking), error.end
+
+
+codecs.register_error(_PLAIN, _in_plain)

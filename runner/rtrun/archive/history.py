@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from rtfiles.output import print_line
+from rtfiles.output import console, print_line
 from rtfiles.quantities import grouped, time
 from rtrun.archive import By
 from rtrun.archive.queries import Point
@@ -34,9 +34,7 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
                 misses_text(point),
             )
         )
-    # Wider than a screen rather than a list: there may be thousands of rows.
-    for line in Table(columns=columns, rows=rows, numbers=range(len(leading), len(columns))).lines():
-        print_line(line.plain)
+    console().print(Table(columns=columns, rows=rows, numbers=range(len(leading), len(columns))))
 
 
 def misses_text(point: Point) -> str:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Column
 
-from rtfiles.output import print_line, print_note, printable
+from rtfiles.output import print_line, print_note, printable, shortened
 from rtrun.execution.progress import ShowFigures, in_words
 from rtrun.plan.run import Run
 from rtrun.results.record import RunStatus
@@ -20,7 +20,7 @@ class _Row:
 
     def __init__(self, bars: Progress, board: str) -> None:
         self._bars = bars
-        self._task = bars.add_task("gets ready", total=None, board=printable(board))
+        self._task = bars.add_task("gets ready", total=None, board=shortened(printable(board), 20))
 
     def begin(self, text: str, total_s: float | None) -> None:
         """Show another text, and a bar that is full after this time, in seconds."""

@@ -3,7 +3,7 @@
 import json
 from typing import TYPE_CHECKING, Self
 
-from rtfiles.output import console, counted, print_line
+from rtfiles.output import console, counted, print_line, printable, shortened
 from rtfiles.quantities import duration, grouped, time
 from rtrun.flows.live import LiveRow, Snapshot, worst_first
 from rtrun.kinds.kind import StreamKind
@@ -20,8 +20,8 @@ _COLUMNS = ("what", "of", "number", "rate/Hz", "median", "p99", "worst", "lost",
 _ROUND_THE_TABLE = 5  # lines of a screen outside the table
 
 
-def live_table(snapshot: Snapshot, height: int) -> "Group":
-    """Messages, timers and paths for a screen of this height, those with misses first, and what is missing."""
+def live_table(snapshot: Snapshot, width: int, height: int) -> "Group":
+    """Messages, timers and paths for a screen of this size, those with misses first, and what is missing."""
     from rich.console import Group
     from rich.text import Text
 
@@ -31,7 +31,9 @@ def live_table(snapshot: Snapshot, height: int) -> "Group":
     if len(rows) > fitting:
         lines.append(f"{counted(len(rows) - fitting, 'more stream')} not shown")
     shown = Table(columns=_COLUMNS, rows=[_cells(row) for row in rows[:fitting]], numbers=range(2, len(_COLUMNS)))
-    return Group(shown, *(Text(line, no_wrap=True) for line in (*lines, *snapshot.remarks)))
+    return Group(
+        shown, *(Text(shortened(printable(line), width), no_wrap=True) for line in (*lines, *snapshot.remarks))
+    )
 
 
 def _shown(snapshot: Snapshot) -> list[LiveRow]:
@@ -106,6 +108,6 @@ class LiveView:
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot."""
         if self._live is not None:
-            self._live.update(live_table(snapshot, self._console.height), refresh=True)
+            self._live.update(live_table(snapshot, self._console.width, self._console.height), refresh=True)
         else:
             print_line(live_json(snapshot) if self._as_json else live_line(snapshot))

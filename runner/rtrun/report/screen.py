@@ -6,7 +6,7 @@ from rtfiles.output import console, print_line, printable
 from rtfiles.quantities import grouped, time
 from rtrun.judgement.digest import pool_figures
 from rtrun.judgement.gate import Case
-from rtrun.judgement.groups import Group
+from rtrun.judgement.groups import Group, short_names
 from rtrun.report.tables import STYLES, Table
 
 
@@ -21,10 +21,11 @@ def print_figures(groups: Sequence[Group]) -> None:
     """Print a row of figures for each group."""
     columns = ("scenario", "n", "p50", "p99", "p99.9", "worst")
     rows = []
+    names = short_names(groups)
     for group in groups:
         figures = pool_figures(group.digests)
         percentiles = (time(figures.percentiles_ns.get(percent)) for percent in (50.0, 99.0, 99.9))
-        rows.append((group.label, grouped(figures.n), *percentiles, time(figures.max_ns)))
+        rows.append((names[group.key], grouped(figures.n), *percentiles, time(figures.max_ns)))
     if rows:
         console().print(Table(columns=columns, rows=rows, numbers=range(1, len(columns))))
 

@@ -1,9 +1,8 @@
 """The answers in sentences, for somebody who knows no statistics: what `quick` and `report` print."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from rtfiles.output import counted, printable
+from rtfiles.output import counted
 from rtfiles.quantities import at_least_in, at_most_in, duration, grouped, time
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.analysis.order.stationarity import UNSTEADY
@@ -17,9 +16,7 @@ from rtrun.judgement.verdicts import (
 from rtrun.kinds.lateness import absent_in_words
 from rtrun.plan.question import NONE_TOLERATED
 from rtrun.report.scenarios import Scenario
-
-if TYPE_CHECKING:
-    from rich.table import Table
+from rtrun.report.tables import Table
 
 
 def headline(study: Study, made: Sequence[Scenario]) -> str:
@@ -44,13 +41,9 @@ def _where(study: Study) -> str:
     return f"on {machine}{kernel}"
 
 
-def lines(study: Study, made: Sequence[Scenario]) -> "Table":
+def lines(study: Study, made: Sequence[Scenario]) -> Table:
     """A line for each scenario with a deadline: its short name, how many were late, and what follows from that."""
-    from rich.table import Table
-
-    grid = Table.grid(padding=(0, 2))
-    grid.add_column(overflow="fold")
-    grid.add_column(overflow="fold", ratio=1)
+    rows = []
     refusals = {one.group.verdict.refused if one.group.verdict else None for one in made}
     # The headline has a reason that applies to all.
     said = f", {refusals.pop()}" if len(made) > 1 and len(refusals) == 1 else ""
@@ -59,8 +52,8 @@ def lines(study: Study, made: Sequence[Scenario]) -> "Table":
         if one.group.key in study.members and one.answer == Answer.NEEDS_MORE:
             # All boards together are decided, or say what is missing.
             text = f"{text.partition(';')[0]}; decided for all boards together"
-        grid.add_row(printable(study.short_name(one.group)), printable(text.removesuffix(said)))
-    return grid
+        rows.append((study.short_name(one.group), text.removesuffix(said)))
+    return Table(columns=("", ""), rows=rows)
 
 
 def sentence(scenario: Scenario) -> str:

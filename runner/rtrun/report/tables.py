@@ -61,51 +61,71 @@ class Table:
     def lines(self, width: float = math.inf) -> "Iterator[Text]":
         """The headings and rows on a screen of this width; numbers and answers stay whole.
 
-        If the words do not fit next to each other, each row becomes a list of headings and cells.
+        If the words do not fit next to each other, headings and each row take several lines, all but the first
+        indented; columns stay columns. Headings are left out if there is none.
         """
         rows = [_printable(row) for row in self.rows]
-        columns = [*enumerate(zip(self.columns, *rows, strict=True))]
-        widths = [
-            max([_word(heading), *map(len if place in self.numbers else _word, cells)])
-            for place, (heading, *cells) in columns
-        ]
-        missing = [max(map(len, column)) - widths[k] for k, column in columns]
-        gaps = self.gap * (len(columns) - 1)
-        spare = width - sum(widths) - gaps
-        if spare < 0:
-            yield from self._listed(rows, int(width))
-            return
-        # Spare width goes to the text that lacks most, so that few cells take several lines, then to other headings.
-        while spare > 0 and any(missing):
-            place = min((k for k, lack in enumerate(missing) if lack), key=lambda k: (k in self.numbers, -missing[k]))
-            widths[place], missing[place], spare = widths[place] + 1, missing[place] - 1, spare - 1
-        yield from self._row(self.columns, widths, is_heading=True)
-        yield _text("─" * (sum(widths) + gaps))
+        columns = [*zip(self.columns, *rows, strict=True)]
+        bands = self._bands(columns, width)
+        if any(self.columns):
+            yield from self._row(self.columns, bands, is_heading=True)
+            yield _text("─" * max(indent + self._width(widths) for indent, widths in bands))
         for cells in rows:
-            yield from self._row(cells, widths)
+            yield from self._row(cells, bands)
 
-    def _row(self, cells: Sequence[str], widths: Sequence[int], *, is_heading: bool = False) -> "Iterator[Text]":
-        parts = [_wrapped(cell, width) for cell, width in zip(cells, widths, strict=True)]
-        height = max(map(len, parts))
-        for number in range(height):
-            line = _text("")
-            for place, (part, width) in enumerate(zip(parts, widths, strict=True)):
-                at = number - (height - len(part) if is_heading else 0)
-                text = part[at] if 0 <= at < len(part) else ""
-                line.append(" " * self.gap * bool(place))
-                line.append(f"{text:{'>' if place in self.numbers else '<'}{width}}", STYLES.get(cells[place], ""))
-            line.rstrip()
-            yield line
+    def _bands(self, columns: Sequence[Sequence[str]], width: float) -> list[tuple[int, dict[int, int]]]:
+        """The lines that a row takes: the indent of each, and the widths of its columns by their places."""
+        least = [
+            max([_word(heading), *map(len if place in self.numbers else _word, cells)])
+            for place, (heading, *cells) in enumerate(columns)
+        ]
+        # What the rows are called stands alone, before their numbers, unless that takes more lines.
+        names = next((place for place in range(len(least)) if place in self.numbers), 0)
+        is_narrow = self._width(dict(enumerate(least))) > width
+        bands = min((self._divided(least, width, last) for last in ([names, 0] if is_narrow else [0])), key=len)
+        for indent, widths in bands:
+            missing = {place: max(map(len, columns[place])) - widths[place] for place in widths}
+            spare = width - indent - self._width(widths)
+            # Spare width goes to a short first column, which names the rows; then to the text that lacks most, so that
+            # few cells take several lines; then to other headings.
+            first = 0 if missing.get(0, 0) + widths.get(0, 0) <= width / 3 else None
+            while spare > 0 and any(missing.values()):
+                lacking = (place for place, lack in missing.items() if lack)
+                place = min(lacking, key=lambda each: (each in self.numbers, each != first, -missing[each]))
+                widths[place], missing[place], spare = widths[place] + 1, missing[place] - 1, spare - 1
+        return bands
 
-    def _listed(self, rows: Sequence[Sequence[str]], width: int) -> "Iterator[Text]":
-        """A line for each cell that is not empty, and an empty line between two rows."""
-        indent = max(map(len, self.columns)) + self.gap
-        for number, row in enumerate(rows):
-            if number:
-                yield _text("")
-            for heading, cell in zip(self.columns, row, strict=True):
-                for place, part in enumerate(_wrapped(cell, max(1, width - indent)) if cell else ()):
-                    yield _text(("" if place else heading).ljust(indent)).append(part, STYLES.get(cell, ""))
+    def _divided(self, least: Sequence[int], width: float, end: int) -> list[tuple[int, dict[int, int]]]:
+        """Lines for columns of these least widths, each as full as it may be; no line goes on at the column `end`."""
+        bands: list[tuple[int, dict[int, int]]] = [(0, {})]
+        for place, word in enumerate(least):
+            indent, widths = bands[-1]
+            if place and (place == end or indent + self._width(widths | {place: word}) > width):
+                indent, widths = self.gap, {}
+                bands.append((indent, widths))
+            # A word longer than the screen is broken.
+            widths[place] = int(min(word, max(1, width - indent)))
+        return bands
+
+    def _width(self, widths: Mapping[int, int]) -> int:
+        return sum(widths.values()) + self.gap * max(0, len(widths) - 1)
+
+    def _row(
+        self, cells: Sequence[str], bands: Sequence[tuple[int, Mapping[int, int]]], *, is_heading: bool = False
+    ) -> "Iterator[Text]":
+        for indent, widths in bands:
+            parts = {place: _wrapped(cells[place], width) for place, width in widths.items()}
+            height = max(map(len, parts.values()))
+            for number in range(height if any(cells[place] for place in widths) or not indent else 0):
+                line = _text(" " * indent)
+                for place, part in parts.items():
+                    at = number - (height - len(part) if is_heading else 0)
+                    text = part[at] if 0 <= at < len(part) else ""
+                    side = ">" if place in self.numbers else "<"
+                    line.append(" " * self.gap * (place != next(iter(parts))))
+                    line.append(f"{text:{side}{widths[place]}}", STYLES.get(cells[place], ""))
+                line.rstrip()
+                yield line
 
 
 def _text(text: str) -> "Text":
@@ -120,7 +140,11 @@ def _word(text: str) -> int:
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    return [text] if len(text) <= width else textwrap.wrap(text, width, break_on_hyphens=False)
+    """The lines of a cell; those after the first are indented if every word still fits."""
+    if len(text) <= width:
+        return [text]
+    indent = "  " if max(map(len, text.split())) + 2 <= width else ""
+    return textwrap.wrap(text, width, break_on_hyphens=False, subsequent_indent=indent)
 
 
 def printable_table(table: Table) -> Table:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from rtfiles.output import PLAIN_WIDTH, counted, listed
+from rtfiles.output import counted, listed, screen_width
 from rtfiles.quantities import time
 from rtrun.plan.observation import StreamDeadline
 from rtrun.plan.quantities import size_text
@@ -28,7 +28,9 @@ def topology_lines(plan: TopologyPlan, remarks: Sequence[str] = ()) -> Iterator[
     yield from drawing(topology)
     yield ""
     columns = ("node", "activated", "busy", "CPU", "thread", "sends")
-    yield from (line.plain for line in Table(columns=columns, rows=[*_rows(topology)], numbers=[3]).lines())
+    yield from (
+        line.plain for line in Table(columns=columns, rows=[*_rows(topology)], numbers=[3]).lines(screen_width())
+    )
     yield ""
     yield from _paths(plan)
     yield from _demand_lines(topology)
@@ -74,9 +76,9 @@ def _way(topology: Topology, node: TopologyNode, topic: str, taker: TopologyNode
 
 def _folded(words: Iterator[str]) -> Iterator[str]:
     """Words in lines of limited width; lines after the first are indented."""
-    line = next(words)
+    line, width = next(words), screen_width()
     for word in words:
-        if len(line) + 1 + len(word) > PLAIN_WIDTH:
+        if len(line) + 1 + len(word) > width:
             yield line
             line = _INDENT + word
         else:

@@ -141,7 +141,7 @@ def test_the_table_fits_its_screen(seen):
     _, snapshots = seen
     for width, height in ((100, 24), (60, 24), (100, 7)):
         screen = Console(width=width, height=height, record=True, file=io.StringIO())
-        screen.print(live_table(snapshots[9], height))
+        screen.print(live_table(snapshots[9], screen.width, height))
         text = screen.export_text()
         assert max(map(len, text.splitlines())) <= width
         assert "10 s observed" in text and "1 gap" in text
@@ -174,4 +174,4 @@ def test_a_deadline_of_what_cannot_be_is_refused(text):
 def test_nothing_is_seen_yet():
     snapshot = LiveFigures(FlowAccumulator(begin_ns=0)).snapshot(0)
     assert live_line(snapshot) == "0 s: 0 messages, 0 lost, 0 timers"
-    Console(file=io.StringIO()).print(live_table(snapshot, 24))
+    Console(file=io.StringIO()).print(live_table(snapshot, 80, 24))
