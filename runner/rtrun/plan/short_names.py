@@ -43,7 +43,7 @@ def _parameters(run: Run) -> dict[str, Value]:
         "trace": run.trace,
         "repeat": run.repeat,
     }
-    # The limit of traces says it already.
+    # `trace` names this limit.
     parameters = {key: value for key, value in run.parameters.items() if key != "trace_threshold_us"}
     return {**parameters, **run.settings, **further}
 
