@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rtrun.results.figures_so_far import read_figures
 from rtrun.targets.inspection.kernel_trace import read_events
 
 from .conftest import (
@@ -385,14 +386,15 @@ def test_what_was_requested_is_what_suites_yml_says(bench: Bench) -> None:
 
 @pytest.mark.root
 def test_blocks_survive_a_kill(bench: Bench) -> None:
-    """What a power cut leaves of a long run, but for what the disk itself would lose: the part, and nothing else."""
+    """What a power cut leaves of a long run, but for what the disk itself would lose: the part, and figures of it."""
     process = bench.start("cyclic_timer_tests", "-s", "FIFO", "-r", "100000")
     base = "cyclic_timer_tests_l100000_fq1000-tnRTFIFO"
     part = bench.folder / f"{base}.npy.part"
     wait_until(lambda: part.exists() and part.stat().st_size > 128, process)
     process.kill()
     process.communicate()
-    assert bench.files() == [part.name]
+    live = bench.folder / f"{base}.live"
+    assert bench.files() == [live.name, part.name]
     header, values = part.read_bytes()[:128], np.frombuffer(part.read_bytes()[128:], dtype="<i8")
     # The kill may come in the middle of a write.
     rows = values[: values.size // 3 * 3].reshape(-1, 3)
@@ -401,6 +403,10 @@ def test_blocks_survive_a_kill(bench: Bench) -> None:
     assert 0 < len(rows) < 100001
     assert (np.diff(rows[:, 0]) > 0).all()
     assert rows[-1, 0] - rows[0, 0] < 60e9
+    figures = read_figures(live.read_text())
+    assert figures is not None and figures.n < 100001
+    lateness = rows[1:, 2] - rows[1:, 1]
+    assert figures.max_ns >= lateness[: figures.n].max()
 
 
 @pytest.mark.root
