@@ -42,11 +42,14 @@ class End:
 
     Each message that a subscriber takes is either received, a duplicate, ambiguous, historic (published before the
     subscriber was there), unmatched, or not decided yet. `forgotten` counts publications that nobody was seen to take.
+
+    A publisher of a lifecycle node pauses while that is not active. `paused_ns` is since when, None: it does not;
+    `pauses` counts them.
     """
 
     __slots__ = (
-        "ambiguous", "copies", "cuts", "duplicates", "forgotten", "historic", "label", "latest", "received", "times",
-        "topic", "unmatched",
+        "ambiguous", "copies", "cuts", "duplicates", "forgotten", "historic", "label", "latest", "paused_ns", "pauses",
+        "received", "times", "topic", "unmatched",
     )  # fmt: skip
 
     def __init__(self, topic: str, label: str, store: RowStore) -> None:
@@ -56,17 +59,31 @@ class End:
         self.cuts = store.rows()
         self.latest: tuple[int, Endpoint] | None = None
         self.copies = Copies()
+        self.paused_ns: int | None = None
+        self.pauses = 0
         self.received = self.duplicates = self.ambiguous = self.historic = self.unmatched = self.forgotten = 0
 
     def add(self, at_ns: int, endpoint: "Endpoint", epoch: int) -> int:
         """Count a message at this end; returns its index."""
         index = len(self.times)
         latest = self.latest
-        if latest is None or latest[1] is not endpoint or latest[0] != epoch:
+        if latest is None or latest[1] is not endpoint or latest[0] != epoch or self.paused_ns is not None:
             self.cuts.add((index,))
-            self.latest = (epoch, endpoint)
+            self.latest, self.paused_ns = (epoch, endpoint), None
         self.times.add((at_ns,))
         return index
+
+    def pause(self, at_ns: int) -> None:
+        """A node of its process is not active any more."""
+        if len(self.times):
+            self.paused_ns = at_ns
+            self.pauses += 1
+
+    def resume(self) -> None:
+        """The latest message is the first one of a publisher that had paused."""
+        index = len(self.times) - 1
+        if self.cuts[-1] != index:
+            self.cuts.add((index,))
 
 
 class Endpoint(LivingThing):
@@ -91,9 +108,10 @@ class Publication:
     """One call of publish. `begins`: when each path that it is on began, by path and place.
 
     `until_ns` is when its thread did something else; None: that is not known. `has_stamp`: its time stamp is known.
+    `resumes`: it is the first one after a pause.
     """
 
-    __slots__ = ("at_ns", "begins", "cpu", "endpoint", "has_stamp", "index", "takers", "tid", "until_ns")
+    __slots__ = ("at_ns", "begins", "cpu", "endpoint", "has_stamp", "index", "resumes", "takers", "tid", "until_ns")
 
     def __init__(self, endpoint: Endpoint, index: int, at_ns: int, tid: int, cpu: int) -> None:
         self.endpoint = endpoint
@@ -104,7 +122,7 @@ class Publication:
         self.takers: tuple[End, ...] = ()
         self.begins: dict[tuple[int, int], int] = {}
         self.until_ns: int | None = None
-        self.has_stamp = False
+        self.has_stamp = self.resumes = False
 
 
 class Reception:
@@ -245,6 +263,8 @@ class MessageRecord:
         self._add_taker(publication, subscriber.end)
         reception.publication = publication
         subscriber.end.received += 1
+        if publication.resumes:
+            subscriber.end.resume()
         pair.add(reception, publication, self._links_epoch)
 
     def _add_taker(self, publication: Publication, taker: End) -> None:

@@ -25,6 +25,8 @@ from rtrun.probes.hits import Hit
 PUBLISHER, SUBSCRIBER = "publisher", "subscriber"
 # Topics of ROS 2 itself, in every process: not messages between nodes.
 _OF_ROS = frozenset(("ros_discovery_info", "/parameter_events"))
+# The states in which a node of lifecycle stops, by their labels in rcl_lifecycle.
+_LEAVING = ("deactivating", "shuttingdown", "errorprocessing")
 _KEY_BYTES = 12
 _OPEN_MAX = 100_000  # messages that wait to be taken
 _HORIZON_LEAST_NS = 10**6
@@ -45,6 +47,7 @@ class TopicRecord(MessageRecord):
             "node_init": self._init_node,
             "publisher_init": lambda hit, thread: self._init(hit, thread, PUBLISHER, PUBLISHERS.of(thread.process)),
             "subscription_init": self._init_subscription,
+            "lifecycle": self._change_state,
         }
         self._state = state
         self._paths = paths
@@ -105,8 +108,10 @@ class TopicRecord(MessageRecord):
             self._state.unreadable += 1
             return
         at_ns = hit.at_ns
+        resumes = endpoint.end.paused_ns is not None
         index = endpoint.end.add(at_ns, endpoint, self._state.epoch)
         publication = Publication(endpoint, index, at_ns, hit.tid, hit.cpu)
+        publication.resumes = resumes
         if self._paths.paths:
             self._paths.published(publication, thread.handled)
         if isinstance(key, int):
@@ -210,6 +215,14 @@ class TopicRecord(MessageRecord):
         handle, endpoint = hit.values.get("subscription"), subscribers.get(hit.values.get("endpoint", ""))
         if handle is not None and endpoint is not None and self._state.has_room(handle, subscriptions):
             subscriptions[handle] = endpoint
+
+    def _change_state(self, hit: Hit, thread: ObservedThread) -> None:
+        """A node of lifecycle leaves a state. Which of its process it is, is not known: all publishers may be its."""
+        thread.does_other_work()
+        if hit.values.get("before") in _LEAVING:
+            for endpoint in PUBLISHERS.of(thread.process).values():
+                if endpoint.is_alive:
+                    endpoint.end.pause(hit.at_ns)
 
     def _init_node(self, hit: Hit, thread: ObservedThread) -> None:
         node, name, namespace = (hit.values.get(key, "") for key in ("node", "name", "namespace"))

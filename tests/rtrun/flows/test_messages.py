@@ -544,6 +544,19 @@ def test_stamps_within_two_publications():
     assert ends(observed)["subscriber", "/listener"].counts["ambiguous"] == 3
 
 
+@pytest.mark.parametrize(
+    ("before", "at_s", "open_s"), [("deactivating", 1, 0), ("deactivating", 9, 8), ("configuring", 9, 59)]
+)
+def test_silence_is_a_stall_until_a_node_is_deactivated(before, at_s, open_s):
+    observed = FlowAccumulator(begin_ns=0)
+    observed.observe([node(1, "talker")])
+    observed.feed([publish(call * 10 * MS) for call in range(101)])
+    observed.feed([hit(at_s * S + 1, "lifecycle", before=before, after="inactive")])
+    observed.finish(60 * S)
+    open_ns = ends(observed)["publisher", "/talker"].open_ns
+    assert round(open_ns / S) == open_s
+
+
 def test_names_that_are_alike_when_printed_stay_two():
     observed = FlowAccumulator(begin_ns=0)
     observed.feed([publish(1, "/\x1b"), publish(2, "/\x1c", endpoint=2)])

@@ -52,7 +52,7 @@ class EndSource:
             counts={"messages": len(end.times), **counts},
             cuts=cuts,
             remarks=remarks,
-            open_ns=silent_ns(end.times, end, self.observed) if self.role == PUBLISHER else 0,
+            open_ns=silent_ns(end.times, end, self.observed, end.paused_ns) if self.role == PUBLISHER else 0,
             source=end,
         )
 
@@ -70,7 +70,8 @@ class EndSource:
     def _fates(self) -> tuple[dict[str, int], tuple[str, ...]]:
         end = self.record
         if self.role == PUBLISHER:
-            return {"never_taken": end.forgotten}, ()
+            paused = f"its program deactivated a node {counted(end.pauses, 'time')}: silence from then on is no stall"
+            return {"never_taken": end.forgotten}, (paused,) * bool(end.pauses)
         decided = {
             "received": end.received,
             "duplicate": end.duplicates,

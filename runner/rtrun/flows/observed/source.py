@@ -70,9 +70,9 @@ class ObservedKind(Protocol):
     def sources(self, observed: FlowAccumulator) -> Iterator[StreamSource]: ...
 
 
-def stalled_ns(since_ns: int, longest_ns: int, observed: FlowAccumulator) -> int:
-    """How long something had not come at the end, if longer than ever before; otherwise 0."""
-    passed_ns = observed.until_ns - since_ns
+def stalled_ns(since_ns: int, longest_ns: int, observed: FlowAccumulator, until_ns: int | None = None) -> int:
+    """How long something had not come at the end, or until a time, if longer than ever before; otherwise 0."""
+    passed_ns = (observed.until_ns if until_ns is None else until_ns) - since_ns
     return passed_ns if passed_ns > max(STALL_NS, longest_ns) else 0
 
 
@@ -81,12 +81,12 @@ def is_seen(record: End | TimerLog, observed: FlowAccumulator) -> bool:
     return record.latest is not None and record.latest[1].is_alive and record.latest[0] == observed.state.epoch
 
 
-def silent_ns(times: Rows, record: End | TimerLog, observed: FlowAccumulator) -> int:
-    """How long ago the last message or call was, if longer than ever before; otherwise 0."""
+def silent_ns(times: Rows, record: End | TimerLog, observed: FlowAccumulator, until_ns: int | None = None) -> int:
+    """How long ago the last message or call was, at the end or at a time, if longer than ever before; otherwise 0."""
     if not is_seen(record, observed):
         return 0
     longest_ns = max((int(some.max(initial=0)) for some in steps(times, record.cuts)), default=0)
-    return stalled_ns(times[-1], longest_ns, observed)
+    return stalled_ns(times[-1], longest_ns, observed, until_ns)
 
 
 def cuts_of(cuts: Rows, store: RowStore) -> Int64s:
