@@ -110,6 +110,18 @@ def wait_until_nothing_is_left() -> None:
         time.sleep(0.05)
 
 
+def scripts_of_busybox(folder: Path) -> PurePosixPath:
+    """The scripts of an observation, made anew in a folder, with a shell and tools that are BusyBox's."""
+    tools, scripts = folder / "bin", folder / "scripts"
+    tools.mkdir()
+    scripts.mkdir()
+    subprocess.run(["busybox", "--install", "-s", tools], check=True)
+    for path in (*Path(str(SCRIPTS)).glob("*pro*.sh"), Path(str(SCRIPTS)) / "find_threads.sh"):
+        (scripts / path.name).write_text(path.read_text().replace("#!/bin/sh\n", f"#!{tools}/sh\nPATH={tools}\n", 1))
+        (scripts / path.name).chmod(0o755)
+    return PurePosixPath(scripts)
+
+
 def skip_without_trace() -> None:
     """Skip where this user, or this kernel, has no probes."""
     if not os.access(TRACING / "uprobe_events", os.W_OK):

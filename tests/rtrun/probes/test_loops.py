@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from probes.standin import SCRIPTS, TRACING, left, running, wait_until_nothing_is_left
+from probes.standin import SCRIPTS, TRACING, left, running, scripts_of_busybox, wait_until_nothing_is_left
 
 from rtfiles.output import printable
 from rtrun.execution import observation
@@ -67,11 +67,11 @@ def loop(tmp_path_factory):
     return program
 
 
-def observe(link, *deadlines, for_s=4.0, on_second=lambda _: None):
+def observe(link, *deadlines, for_s=4.0, on_second=lambda _: None, scripts=SCRIPTS):
     plan = ObservationPlan(for_s=for_s, deadlines=[*map(read_stream_deadline, deadlines)])
-    watched = observation.watch(link, SCRIPTS, plan)
+    watched = observation.watch(link, scripts, plan)
     onlooker = observation.Onlooker(on_second=on_second, is_attended=True)
-    result = observation.observe(link, SCRIPTS, watched, plan, trace="", onlooker=onlooker, now=utc_now)
+    result = observation.observe(link, scripts, watched, plan, trace="", onlooker=onlooker, now=utc_now)
     assert result.finished is None or result.finished.is_clean
     return result
 
@@ -259,6 +259,18 @@ def test_names_of_any_bytes(here, loop, tmp_path, name):
             named = find_programs(here, SCRIPTS, [name]).found
             assert name in {each.program.file_name for each in named}
     assert seen[printable(name)].columns["due_ns"].size > 500
+
+
+@pytest.mark.parametrize(
+    ("name", "priority"), [("loop:observed-loop=1ms", 0), ("loop:observed-loop/observed-loop=1ms", 50)]
+)
+def test_on_a_small_target(here, loop, tmp_path, name, priority):
+    """Its shell and its tools are BusyBox's."""
+    out = tmp_path / "out"
+    with running_loop(loop, "absolute", priority, out):
+        result = observe(here, name, for_s=3, scripts=scripts_of_busybox(tmp_path))
+    stream = only(result, "observed-loop")
+    assert stream.columns["due_ns"].size > 500 and unmatched(stream, printed(out)[1]) <= 2 * stream.source.unseen
 
 
 def test_a_loop_of_asyncio_is_named_by_its_script(here, tmp_path):

@@ -114,17 +114,11 @@ def test_a_queued_callback_of_a_timer_is_late_by_when_it_begins(here, tmp_path):
 
 def test_on_a_small_target(here, standin, tmp_path):
     """Its shell and its tools are BusyBox's."""
-    tools, scripts = tmp_path / "bin", tmp_path / "scripts"
-    tools.mkdir()
-    scripts.mkdir()
-    subprocess.run(["busybox", "--install", "-s", tools], check=True)
-    for path in Path(str(SCRIPTS)).glob("*pro*.sh"):
-        (scripts / path.name).write_text(path.read_text().replace("#!/bin/sh\n", f"#!{tools}/sh\nPATH={tools}\n", 1))
-        (scripts / path.name).chmod(0o755)
+    scripts = standins.scripts_of_busybox(tmp_path)
     with running(standin, 1000, 10**9) as process:
         found = find(here, process.pid)
         placement = place(here, found, events=events())
-        *results, last = observe(here, PurePosixPath(scripts), placement, found, for_s=3)
+        *results, last = observe(here, scripts, placement, found, for_s=3)
     numbers = [hit.values["source_ns"] for hit in values_of(results, "take")]
     assert numbers == list(range(numbers[0], numbers[-1] + 1)) and len(numbers) > 2000
     assert last.is_clean and left() == []
