@@ -4,20 +4,15 @@ A thread arms a timer and sleeps; the timer's interrupt wakes it, and it runs. A
 the thread began the sleep that its next timer ended, so what it waits for within a cycle is part of the cycle.
 """
 
-from array import array
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from rtfiles.output import counted
-from rtfiles.quantities import time
+from rtrun.flows.loop_log import GRID_ROWS, UNKNOWN_NS, Latest, LoopLog
 from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import NAME_CHARACTERS_MAX, numbered
 from rtrun.kinds.limits import TIME_MAX_NS
-from rtrun.kinds.values import Int64s
 from rtrun.probes.hits import Gap, ObservedProgram, ProgramThread
 from rtrun.probes.kernel_events import KernelEvents
 from rtrun.probes.loops import EVENTS, EXPIRY, SLEEP, START, SWITCH, THREADS_MAX, WAKING, LoopWatch, is_observed
@@ -26,11 +21,7 @@ _INTERRUPT = 0x18  # bits of common_flags: within an interrupt or a softirq
 _ASLEEP, _ENDED = 0x03, 0x30  # bits of prev_state: S and D, X and Z
 _STEP_NS = 1000  # two readings of the offset of a clock differ by less
 _TIMERS_MAX = 64  # of a thread that are armed at one time
-_GRID_ROWS = 1000  # activations that show the period
-_GRID_ROWS_LEAST = 8
 _WAKERS_MAX = 16
-UNKNOWN_NS = -1
-"""The timer's interrupt, or the waking, was not seen to come before the thread ran."""
 
 
 @dataclass(slots=True)
@@ -44,116 +35,6 @@ class _Timer:
     is_realtime: bool
     expired_ns: int | None = None
     expired_cpu: int = -1
-
-
-class Latest(NamedTuple):
-    """The activation that ran latest after it was due, and who had the CPU before it; 0: nobody."""
-
-    late_ns: int
-    timer_ns: int
-    wake_ns: int
-    wait_ns: int
-    before_tid: int
-    before_name: str
-
-
-class LoopLog:
-    """The activations of a thread, over all restarts of its program.
-
-    `rows`: due, interrupt, waking, running. `responses`: due, end, CPU time. `past_due` counts activations whose time
-    had passed when the thread asked for it, `unseen` those whose begin was not recorded.
-    """
-
-    __slots__ = (
-        "asked", "cuts", "is_asked", "is_dropped", "is_real_time", "latest", "past_due", "program", "realtime",
-        "responses", "rows", "runs", "thread", "unseen", "wakers", "worst",
-    )  # fmt: skip
-
-    def __init__(self, program: str, thread: str, state: ObservationState) -> None:
-        self.program, self.thread = program, thread
-        self.rows, self.responses, self.cuts = state.store.rows(4), state.store.rows(3), state.store.rows()
-        self.asked: array[int] = array("q")
-        """When the first activations were asked for."""
-        self.past_due = self.realtime = self.runs = self.unseen = 0
-        self.wakers: Counter[str] = Counter()
-        """What wakes it besides its timers."""
-        self.is_real_time = self.is_dropped = False
-        self.is_asked = False
-        """It has a deadline."""
-        self.latest: LoopThread | None = None
-        self.worst: Latest | None = None
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether it is a stream. A program's ordinary threads are none once it has real-time ones."""
-        return self.is_real_time or not self.is_dropped
-
-    @property
-    def clock(self) -> str:
-        """``system`` if it sleeps on CLOCK_REALTIME, which may be set; otherwise empty."""
-        return "system" if 2 * self.realtime > len(self.rows) else ""
-
-    def period_ns(self) -> int | None:
-        """The period, if its due times lie on a grid; None if each sleep begins anew, or too few were seen.
-
-        On a grid the time between two due times is more constant than the time from asking to being due.
-        """
-        rows = min(len(self.asked), _GRID_ROWS)
-        if rows < _GRID_ROWS_LEAST:
-            return None
-        due = self.rows.read(0, rows)[:, 0]
-        steps, asked = np.diff(due), due - np.frombuffer(self.asked[:rows], np.int64)
-        period_ns = int(np.median(steps))
-        if period_ns <= 0:
-            return None
-        off = np.abs(steps - np.maximum(np.rint(steps / period_ns), 1) * period_ns)
-        varies = np.abs(asked - np.median(asked))
-        return period_ns if np.median(off) == 0 or np.median(off) < np.median(varies) else None
-
-    def skipped(self, begin: int, due: Int64s, period_ns: int | None) -> Int64s:
-        """The periods without an activation before each of these rows, from row `begin` on; int64 (n,)."""
-        skipped = np.zeros(due.size, np.int64)
-        if period_ns is None or not due.size:
-            return skipped
-        before = self.rows[begin - 1] if begin else int(due[0])
-        passed = np.diff(due, prepend=before)
-        cuts = self.cuts.between(begin, begin + due.size) - begin
-        skipped[:] = np.maximum((passed + period_ns // 2) // period_ns - 1, 0)
-        skipped[cuts] = 0
-        return skipped
-
-    def rhythm(self) -> str:
-        """What wakes it, and how often."""
-        if not len(self.rows):
-            return f"no loop: {self._why_none()}"
-        period_ns = self.period_ns()
-        if period_ns is not None:
-            return f"sleeps until times {time(period_ns)} apart"
-        return "sleeps for a time that it reckons anew each time, so skipped periods are not counted"
-
-    def in_words(self) -> Iterator[str]:
-        """What a reader has to know of its values, or why it has none."""
-        if not len(self.rows) or self.is_asked:
-            yield self.rhythm()
-        if self.past_due:
-            yield f"{counted(self.past_due, 'activation')} it asked for too late: the time had already passed"
-        if self.unseen:
-            late = counted(self.unseen, "activation")
-            yield f"{late} began at most as late as told: the kernel did not record when the thread began to run"
-        if self.clock:
-            yield "it sleeps on CLOCK_REALTIME: a step of that clock moves its due times"
-        if self.worst is not None and self.is_asked:
-            yield f"its latest activation ran {time(self.worst.late_ns)} after it was due: {_parts(self.worst)}"
-
-    def _why_none(self) -> str:
-        if not self.runs:
-            return (
-                "the thread did not run" if self.latest is None or not self.latest.is_on else "it runs without a pause"
-            )
-        if not self.wakers:
-            return "the thread never slept: it waits busily, or does not wait at all"
-        woken = ", ".join(f"{number} times by {who}" for who, number in self.wakers.most_common(3))
-        return f"no timer ends its sleeps: it was woken {woken}"
 
 
 class LoopThread:
@@ -437,7 +318,7 @@ class LoopRecord:
             one.is_joined = True
         interrupt_ns = timer.expired_ns if timer.expired_ns is not None else UNKNOWN_NS
         log.rows.add((timer.due_ns, interrupt_ns, waking_ns, running_ns))
-        if len(log.asked) < _GRID_ROWS:
+        if len(log.asked) < GRID_ROWS:
             log.asked.append(timer.asked_ns)
         log.past_due += timer.asked_ns >= timer.due_ns
         log.realtime += timer.is_realtime
@@ -479,11 +360,3 @@ def _previous_name(events: KernelEvents, place: int) -> str:
     """The kernel's name of the thread that left the CPU."""
     (event,) = events.only(slice(place, place + 1))
     return str(event.values.get("prev_comm", ""))
-
-
-def _parts(worst: Latest) -> str:
-    who = f" that {worst.before_name} had" if worst.before_tid else ""
-    return (
-        f"{time(worst.timer_ns)} until its timer's interrupt, {time(worst.wake_ns)} until it was woken, "
-        f"{time(worst.wait_ns)} until it had a CPU{who}"
-    )

@@ -230,16 +230,12 @@ print_programs() {
     echo "rtrun end programs"
 }
 
-# An interrupt records which thread it interrupts, so its event is told by the function that the timer calls.
-filter_functions() {
-    filter=
-    for each in $functions; do filter="${filter:+$filter || }function == 0x$each"; done
-    echo "$filter" >"$instance/events/timer/hrtimer_expire_entry/filter"
-} 2>/dev/null
-
-# Record the events of these threads alone, each PID:TID. No thread has the number 4194305.
+# Record the events of these threads alone, each PID:TID. No thread has the number 4194305. An interrupt records which
+# thread it interrupts, so its event is told by the function that the timer calls: 0 where no thread is followed.
 filter_threads() {
     any=4194305
+    called="function == 0"
+    for each in ${1:+$functions}; do called="$called || function == 0x$each"; done
     filter="common_pid==$any" waking="pid==$any" switch="prev_pid==$any"
     for each; do
         tid=${each#*:}
@@ -247,6 +243,7 @@ filter_threads() {
         waking="$waking||pid==$tid"
         switch="$switch||prev_pid==$tid||next_pid==$tid"
     done
+    echo "$called" >"$instance/events/timer/hrtimer_expire_entry/filter"
     echo "$filter" >"$instance/events/timer/hrtimer_start/filter"
     echo "$waking" >"$instance/events/sched/sched_waking/filter"
     echo "$switch" >"$instance/events/sched/sched_switch/filter"
@@ -478,7 +475,6 @@ exec 5<&-
 if [ -n "$functions" ] && [ -z "$events" ]; then
     is_filtered=1
     events=$loop_events
-    filter_functions
     filter_threads
 fi
 for event in $events; do

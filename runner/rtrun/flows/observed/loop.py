@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtrun.flows.accumulator import FlowAccumulator
-from rtrun.flows.loops import LoopLog
+from rtrun.flows.loop_log import LoopLog
 from rtrun.flows.observed.source import Growth, Identity, cuts_of, stalled_ns
 from rtrun.flows.values import Stream
 from rtrun.kinds.loop import STREAM as STREAM
