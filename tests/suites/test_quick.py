@@ -80,6 +80,25 @@ def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suit
 
 
 @pytest.mark.root
+def test_without_ros_it_measures_over_shared_memory_and_sockets(quick, suites, tmp_path):
+    """As on an image without ROS, whose only suite is that of messages."""
+    bare = tmp_path / "bare"
+    shutil.copytree(suites, bare, symlinks=True)
+    for folder in (bare / "lib").iterdir():
+        if folder.is_dir() and folder.name not in ("transport_tests", "rt_tests_sampler"):
+            shutil.rmtree(folder)
+    status, printed, errors = quick("--deadline", "60s", "--for", "5s", "--suites", bare)
+    late = kept_from_its_rate(tmp_path / "results" / "quick")
+    assert status == (3 if late else 0), printed + errors
+    runs = yaml.safe_load((tmp_path / "results/quick/campaign.yml").read_text())["runs"]
+    (messages,) = [run for run in runs if run["suite"] != "cyclictest"]
+    assert messages["middleware"] == ["futex", "unix", "tcp", "udp"]
+    records = [read_record(path.parent) for path in (tmp_path / "results" / "quick").glob("*/run.json")]
+    through = {record.parameters["middleware"] for record in records if record.suite == "communication_tests"}
+    assert through == set(messages["middleware"])
+
+
+@pytest.mark.root
 def test_without_a_deadline_it_prints_figures_and_how_to_ask(quick, suites, tmp_path):
     words = ["--for", "2s", "--suites", suites, "--suite", "cyclic_timer_tests"]
     _, printed, _ = quick(*words)

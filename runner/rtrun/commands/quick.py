@@ -44,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how long to measure [1min]",
     )
     parser.add_argument("--suite", action="append", default=[], metavar="SUITE", help="measure it alone, or these")
-    parser.add_argument("--middleware", default="roscpp", metavar="NAME", help="of the suites [roscpp]")
+    parser.add_argument(
+        "--middleware", metavar="NAME", help="of the suites [roscpp, else rcl, else shared memory and sockets]"
+    )
     parser.add_argument(
         "--policy", choices=["0", "RR", "FIFO"], help=f"scheduling policy, 0: none [{POLICY}, if you may]"
     )
@@ -138,7 +140,8 @@ def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
     rights = [line for line in lacks if line != quick.BASELINE]
     # It ends at once if it may not become a real-time program, whatever policy is asked for.
     baselines = [] if lacks else [quick.BASELINE]
-    found = [*baselines, *quick.measurable(programs, args.middleware)]
+    middlewares = (args.middleware,) if args.middleware else quick.middlewares(programs)
+    found = [*baselines, *quick.measurable(programs, middlewares[0])]
     if not found:
         make = f"the suites ({as_called('rtgen')} suites build, then --suites FOLDER)"
         remedy = f"make {make}" if rights else f"install rt-tests (cyclictest), or {make}"
@@ -147,13 +150,13 @@ def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
     if found == baselines:
         print_note(f"rtrun: measures {quick.BASELINE} alone: `{as_called('rtgen')} suites build` makes the suites")
     if unknown := [name for name in args.suite if name not in found]:
-        raise UsageError(f"--suite {unknown[0]}: not there through {args.middleware}, found: {', '.join(found)}")
+        raise UsageError(f"--suite {unknown[0]}: not there through {', '.join(middlewares)}, found: {', '.join(found)}")
     if rights and args.policy is None:
         left_out = "" if quick.BASELINE in lacks else f" and without {quick.BASELINE}"
         print_note(f"rtrun: measures without a real-time policy{left_out}: this user has not {rights[0]}")
     return quick.campaign(
         [name for name in found if not args.suite or name in args.suite],
-        middleware=args.middleware,
+        middlewares=middlewares,
         policy=args.policy or (NO_REAL_TIME if rights else POLICY),
         duration_s=args.for_ns / 1e9,
         traced_above_ns=args.deadline if _can_trace(link) else None,

@@ -14,8 +14,10 @@ if command -v flock >/dev/null; then
     message=$(flock -n -s "$1/.rt-tests" true 2>&1) || [ -z "$message" ] || echo "no_locks $message" | head -n 1
 fi
 # Those that build_suites.sh built come before others.
-for program in "$1"/built/lib/*_tests/*_tests* "$1/built/lib/rt_tests_sampler/rt_tests_sampler" /usr/lib/*_tests/*_tests*; do
-    [ -x "$program" ] && echo "program $program"
+for lib in "$1/built/lib" /usr/lib; do
+    for program in "$lib"/*_tests/*_tests* "$lib"/*_tests/topology_node* "$lib/rt_tests_sampler/rt_tests_sampler"; do
+        [ -x "$program" ] && echo "program $program"
+    done
 done
 head -n 32 "$1/built/built_with" 2>/dev/null | sed 's/^/built /'
 # The ELF header of a program of the target's own, in hexadecimal.

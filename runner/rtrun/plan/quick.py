@@ -13,6 +13,8 @@ PRIORITY = suites.options()["priority"].default
 PERIOD_US = 1000
 # Shorter runs tell nothing about events that come once a second.
 LEAST_S = 1
+# What programs are measured through if nothing is named: the first of these that a target has programs for.
+CHOICES = (("roscpp",), ("rcl",), ("futex", "unix", "tcp", "udp"))
 # The kinds in the order in which they are measured: wake-ups first, messages last.
 _ORDER = ("cyclic", "oneshot", "messages")
 
@@ -28,27 +30,35 @@ def measurable(programs: Mapping[str, str], middleware: str) -> list[str]:
     return sorted(found, key=lambda name: _ORDER.index(str(known[name].kind)))
 
 
+def middlewares(programs: Mapping[str, str]) -> tuple[str, ...]:
+    """The middlewares that a target is measured through if none is named; the first choice if it has no programs."""
+    found = (tuple(name for name in choice if measurable(programs, name)) for choice in CHOICES)
+    return next(filter(None, found), CHOICES[0])
+
+
 def campaign(
-    names: Sequence[str], *, middleware: str, policy: str, duration_s: float, traced_above_ns: int | None
+    names: Sequence[str], *, middlewares: Sequence[str], policy: str, duration_s: float, traced_above_ns: int | None
 ) -> dict[str, Any]:
     """A campaign, in the form of its file, of these suites and baselines, each for its part of the time.
 
     With `traced_above_ns` the first suite is measured once more, with the kernel's trace of values above that limit.
     """
     traced = next((name for name in names if traced_above_ns is not None and name != BASELINE), None)
-    runs = [_run(name, middleware, duration_s / (len(names) + (traced is not None))) for name in names]
+    through = {name: [] if suites.suite(name).middleware == NONE else list(middlewares) for name in names}
+    parts = sum(max(1, len(through[name])) for name in [*names, *([traced] if traced else [])])
+    runs = [_run(name, through[name], duration_s / parts) for name in names]
     if traced is not None and traced_above_ns is not None:
         runs[names.index(traced)]["trace"] = {"above": f"{max(1, traced_above_ns // 1000)}us"}
     return {"schema": 1, "name": NAME, "common": {"policy": policy}, "runs": runs}
 
 
-def _run(name: str, middleware: str, share_s: float) -> dict[str, Any]:
+def _run(name: str, middlewares: list[str], share_s: float) -> dict[str, Any]:
     described = suites.suite(name)
     repetitions = max(LEAST_S, share_s) * 1_000_000 // PERIOD_US
     run: dict[str, Any] = {"suite": name, "repetitions": int(repetitions)}
     for key, value in (("frequency_hz", 1_000_000 // PERIOD_US), ("timeout_us", PERIOD_US), ("interval_us", PERIOD_US)):
         if key in described.parameters:
             run[key] = value
-    if described.middleware != NONE:
-        run["middleware"] = middleware
+    if middlewares:
+        run["middleware"] = middlewares if len(middlewares) > 1 else middlewares[0]
     return run
