@@ -1,22 +1,27 @@
 """Whether a host can build an image: each thing that prevents it is named with its remedy."""
 
 import dataclasses
+import json
 import shutil
 from pathlib import Path
 
 import pytest
 
 from rtgen import doctor
+from rtgen.checkout import checkout
 from rtgen.cli import main
 from rtgen.doctor import GIB, Host
+from rtgen.profile import load_profile, load_releases, profile_names
 
 NEEDS = doctor.load_needs()
+BUILD = doctor.load_build(load_profile("scarthgap-jazzy")[0])
 GOOD = Host(
     folder=Path("/home/me/yocto"),
     versions={name: program.version for name, program in NEEDS.programs.items()},
     locales=frozenset({"C", "en_US.utf8"}),
     free_bytes=200 * GIB,
     memory_bytes=16 * GIB,
+    free_memory_bytes=12 * GIB,
     open_files=1024,
     user_namespaces=True,
     root=False,
@@ -25,7 +30,7 @@ GOOD = Host(
 
 
 def findings(**changes):
-    found = doctor.judge(dataclasses.replace(GOOD, **changes), NEEDS)
+    found = doctor.judge(dataclasses.replace(GOOD, **changes), NEEDS, BUILD)
     return [(finding.fatal, finding.what, finding.remedy) for finding in found]
 
 
@@ -84,6 +89,41 @@ def test_this_host_is_looked_at(tmp_path, capsys, monkeypatch):
     host = doctor.inspect(tmp_path, NEEDS)
     assert host.versions.keys() == {name for name in NEEDS.programs if shutil.which(name)}
     assert host.versions["git"] and host.versions["tar"] and host.memory_bytes > 0 and host.free_bytes > 0
+
+
+def test_what_a_build_takes_is_that_of_the_profile(tmp_path, capsys):
+    main(["doctor", str(tmp_path), "--profile", "scarthgap-base"])
+    out = capsys.readouterr().out
+    build = doctor.load_build(load_profile("scarthgap-base")[0])
+    assert f"A first build of scarthgap-base: {build.recipes} recipes in {build.tasks} tasks; by estimate" in out
+    assert f" {build.gib} GiB ({build.rm_work_gib} GiB with kas/rm-work.yml) and {build.hours} hours" in out
+    assert "\nHere: " in out and f"a first build needs {BUILD.gib} GiB" not in out
+    main(["doctor", str(tmp_path), "--profile", "scarthgap-base", "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert said["build"] == build.model_dump() and 0 < said["free_memory_bytes"] <= said["memory_bytes"]
+
+
+def test_every_release_and_ros_says_what_a_build_takes():
+    """Also those that only a profile of a user names."""
+    for name, release in load_releases().items():
+        for ros in release.ros_distros:
+            data = load_profile(profile_names()[0])[0].model_copy(update={"release": name, "ros_distro": ros})
+            assert doctor.load_build(data).gib > doctor.load_build(data).rm_work_gib > 0
+
+
+def test_the_docs_tell_what_every_build_takes():
+    """The only other place of these numbers."""
+    text = (checkout() / "docs/layer.md").read_text()
+    for name in profile_names():
+        build = doctor.load_build(load_profile(name)[0])
+        numbers = [
+            build.recipes or "",
+            build.tasks or "",
+            build.counted,
+            f"{build.gib} ({build.rm_work_gib})",
+            build.hours,
+        ]
+        assert f"| {name} | {' | '.join(map(str, numbers))} |\n" in text
 
 
 def test_a_program_that_is_not_there(tmp_path, monkeypatch, capsys):

@@ -13,8 +13,10 @@ from typing import Literal
 from pydantic import Field
 
 from rtfiles.config import Config, load_own
+from rtgen.profile import Profile
 
 NEEDS_FILE = Path(__file__).with_name("doctor.yml")
+BUILDS_FILE = Path(__file__).parent / "layer" / "builds.yml"
 GIB = 1024**3
 _PROXIES = ("http_proxy", "https_proxy", "GIT_PROXY_COMMAND")
 _PROGRAM_TIMEOUT_S = 20
@@ -33,10 +35,27 @@ class Needs(Config):
     schema_: Literal[1] = Field(alias="schema")
     programs: dict[str, NeededProgram]
     locale: str
-    disk_gib: int
-    disk_rm_work_gib: int
     memory_gib: int
     open_files: int
+
+
+class Build(Config):
+    """What a first build of an image takes; builds.yml explains each key."""
+
+    recipes: int | None
+    tasks: int | None
+    counted: str
+    gib: int
+    rm_work_gib: int
+    hours: int
+    measured: bool = False
+
+
+class Builds(Config):
+    """builds.yml: by release and ROS."""
+
+    schema_: Literal[1] = Field(alias="schema")
+    builds: dict[str, dict[str, Build]]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -48,6 +67,7 @@ class Host:
     locales: frozenset[str]
     free_bytes: int
     memory_bytes: int
+    free_memory_bytes: int
     open_files: int
     user_namespaces: bool
     root: bool
@@ -68,6 +88,11 @@ def load_needs() -> Needs:
     return load_own(NEEDS_FILE, Needs)
 
 
+def load_build(profile: Profile) -> Build:
+    """What a first build of a profile's image takes."""
+    return load_own(BUILDS_FILE, Builds).builds[profile.release][profile.ros_distro]
+
+
 def inspect(folder: Path, needs: Needs) -> Host:
     """Find out what a build in `folder` (which must exist) has available."""
     existing = [name for name in needs.programs if shutil.which(name)]
@@ -77,6 +102,7 @@ def inspect(folder: Path, needs: Needs) -> Host:
         locales=frozenset(_run(["locale", "-a"]).stdout.split()),
         free_bytes=shutil.disk_usage(folder).free,
         memory_bytes=os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        free_memory_bytes=_free_memory(),
         open_files=resource.getrlimit(resource.RLIMIT_NOFILE)[0],
         user_namespaces=_run(["unshare", "--user", "--net", "--map-current-user", "true"]).returncode == 0,
         root=os.geteuid() == 0,
@@ -84,12 +110,12 @@ def inspect(folder: Path, needs: Needs) -> Host:
     )
 
 
-def judge(host: Host, needs: Needs) -> list[Obstacle]:
+def judge(host: Host, needs: Needs, build: Build) -> list[Obstacle]:
     """What prevents or may spoil a build on a host, fatal findings first."""
-    return sorted(_findings(host, needs), key=lambda finding: not finding.fatal)
+    return sorted(_findings(host, needs, build), key=lambda finding: not finding.fatal)
 
 
-def _findings(host: Host, needs: Needs) -> Iterator[Obstacle]:
+def _findings(host: Host, needs: Needs, build: Build) -> Iterator[Obstacle]:
     missing = [name for name in needs.programs if name not in host.versions]
     if missing:
         packages = " ".join(sorted({needs.programs[name].package for name in missing}))
@@ -126,7 +152,7 @@ def _findings(host: Host, needs: Needs) -> Iterator[Obstacle]:
             what=f"{host.folder} has {found[0]!r} in its path, which breaks recipes",
             remedy="build in a folder whose path has no blank, + or @",
         )
-    yield from _resources(host, needs)
+    yield from _resources(host, needs, build)
     if "http_proxy" in host.proxies and "https_proxy" not in host.proxies:
         yield Obstacle(
             fatal=False,
@@ -141,18 +167,18 @@ def _findings(host: Host, needs: Needs) -> Iterator[Obstacle]:
         )
 
 
-def _resources(host: Host, needs: Needs) -> Iterator[Obstacle]:
+def _resources(host: Host, needs: Needs, build: Build) -> Iterator[Obstacle]:
     free_gib, memory_gib = host.free_bytes / GIB, host.memory_bytes / GIB
-    if free_gib < needs.disk_gib:
-        enough = free_gib >= needs.disk_rm_work_gib
+    if free_gib < build.gib:
+        enough = free_gib >= build.rm_work_gib
         yield Obstacle(
             fatal=not enough,
-            what=f"{free_gib:.0f} GiB are free in {host.folder}, a first build needs {needs.disk_gib} GiB",
+            what=f"{free_gib:.0f} GiB are free in {host.folder}, a first build needs {build.gib} GiB",
             remedy="add :meta-rt-tests/kas/rm-work.yml to the command of kas, with which "
-            f"{needs.disk_rm_work_gib} GiB are enough"
+            f"{build.rm_work_gib} GiB are enough"
             if enough
             else "free some space, or build in a folder on a larger disk; "
-            f"with kas/rm-work.yml {needs.disk_rm_work_gib} GiB are enough",
+            f"with kas/rm-work.yml {build.rm_work_gib} GiB are enough",
         )
     # A machine with 8 GiB shows a little less, since the firmware and the kernel keep some.
     if memory_gib < 0.9 * needs.memory_gib:
@@ -167,6 +193,12 @@ def _resources(host: Host, needs: Needs) -> Iterator[Obstacle]:
             what=f"a process may open {host.open_files} files only, the usual limit is {needs.open_files}",
             remedy=f"ulimit -n {needs.open_files}",
         )
+
+
+def _free_memory() -> int:
+    """The bytes that programs can get without swapping."""
+    found = re.search(r"^MemAvailable: +(\d+) kB$", Path("/proc/meminfo").read_text(encoding="ascii"), re.MULTILINE)
+    return int(found[1]) * 1024 if found else 0
 
 
 def _numbers(version: str) -> tuple[int, ...]:
