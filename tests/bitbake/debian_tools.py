@@ -58,8 +58,9 @@ def build_suites(yocto: Yocto) -> Path:
     shutil.rmtree(build, ignore_errors=True)
     # To be added to: links would do so to the one in the cache.
     stage = build / "sysroot"
-    if yocto.ros.version == 1:
-        machine, prefix = yocto.machine, "arm-linux-gnueabihf-"
+    if yocto.ros.version != 2:
+        # The machine's program headers have to be those of Debian's compiler.
+        machine, prefix = yocto.machine if yocto.ros.version else "qemuarm", "arm-linux-gnueabihf-"
         shutil.copytree(sysroot.build("armhf", debian.source()), stage, symlinks=True)
         _install_googletest(build / "googletest", stage)
         more = ROS1.format(languages=rtgen.suites.ROS_LANG_DISABLE)
