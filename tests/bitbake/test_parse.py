@@ -40,7 +40,7 @@ def test_recipes_resolve_and_the_kernel_takes_the_fragment(make_build, name, mac
             assert {*clients} <= {*needs} and {*clients} <= {*variables[f"RDEPENDS:{name}"].split()}
         assert variables["S"].endswith("/" + name.replace("-", "_"))
     install = recipes[profile.image.name]["variables"]["IMAGE_INSTALL"].split()
-    assert {"packagegroup-rt-tests", "openssh-sftp-server", *profile.image.packages} <= set(install)
+    assert {"packagegroup-rt-tests", *profile.image.packages} <= set(install)
 
     recipe = recipes[kernel.recipe]
     assert recipe["appends"] and not recipe["skipped"]
@@ -91,6 +91,18 @@ def test_an_image_is_light_by_the_lines_of_kas_yml(make_build, name):
     assert {name: value.strip() for name, value in variables.items()} == {
         name: left for name, (_, left) in found.items()
     }
+
+
+@pytest.mark.parametrize("name", ["scarthgap-base", "wrynose-base"])
+def test_an_image_without_ros_is_built_without_qemu(make_build, name):
+    """By the lines of kas.yml, which name the image; others keep what it needs."""
+    _, release = load_profile(name)
+    lines = [f'{key} = "{value}"' for key, value in release.left_out["qemu-usermode"].items()]
+    lines.append('DEPENDS:pn-other = "qemuwrapper-cross"')
+    image = 'DEPENDS:pn-rt-tests-image = "qemuwrapper-cross cross-localedef-native depmodwrapper-cross"'
+    build = make_build(name, "qemux86-64", local="\n".join([*lines, image]) + "\n")
+    recipes = build.bitbake(variables=["DEPENDS"])["recipes"]
+    assert recipes["rt-tests-image"]["variables"]["DEPENDS"].split() == ["depmodwrapper-cross"]
 
 
 @pytest.mark.parametrize("name", ["kirkstone-noetic", "scarthgap-noetic", "wrynose-noetic"])

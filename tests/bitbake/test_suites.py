@@ -55,10 +55,12 @@ def build_suites(make_build, name, machine, local, clients, kind):
     """
     build = make_build(name, machine, local=local)
     profile, release = load_profile(name)
-    prefix = f"/opt/ros/{profile.ros_distro}"
+    ros = release.ros_distros[profile.ros_distro]
+    prefix = f"/opt/ros/{profile.ros_distro}" if ros.version else "/usr"
+    of_ros = PROGRAMS if ros.version else {}
     files = build.bitbake(tasks=tasks(*(suite.name for suite in recipes_of(profile, release))))["files"]
-    transports = [f"_{name}" for name in [*WITHOUT_A_LIBRARY, *release.ros_distros[profile.ros_distro].transports]]
-    wanted = {suite: [program + client for program in PROGRAMS[suite] for client in clients] for suite in PROGRAMS}
+    transports = [f"_{name}" for name in [*WITHOUT_A_LIBRARY, *ros.transports]]
+    wanted = {suite: [program + client for program in of_ros[suite] for client in clients] for suite in of_ros}
     wanted["transport-tests"] = [program + name for program in PROGRAMS["communication-tests"] for name in transports]
     wanted["rt-tests-sampler"] = ["rt_tests_allocations.so", "rt_tests_sampler"]
     for suite, programs in wanted.items():
@@ -75,7 +77,7 @@ def build_suites(make_build, name, machine, local, clients, kind):
     library = [path for path, package in files["rt-tests-support"].items() if package == "rt-tests-support"]
     assert not [path for path in library if path.endswith((".a", ".h", ".so"))]
     assert files["rt-tests-support"][f"{prefix}/lib/librt_tests_support.a"] == "rt-tests-support-staticdev"
-    for suite in PROGRAMS:
+    for suite in of_ros:
         launch = [path for path in files[suite] if path.endswith(".launch")]
         assert bool(launch) == (clients == [""]) and all(files[suite][path] == suite for path in launch)
     return build
@@ -84,6 +86,20 @@ def build_suites(make_build, name, machine, local, clients, kind):
 def test_fetch_to_install(make_build):
     """Of wrynose, which unpacks into UNPACKDIR; scarthgap, below, unpacks into WORKDIR as kirkstone does."""
     build_suites(make_build, "wrynose-noetic", "pandaboard-es", tools(), [""], ARM)
+
+
+def test_without_ros(make_build):
+    """What is installed is where the runner looks, and belongs to a package."""
+    build = build_suites(make_build, "scarthgap-base", "qemuarm", tools(), [], ARM)
+    lib = build.folder / "tmp/stage/usr/lib"
+    script = (Path(rtrun.__file__).parent / "on_target/inspect.sh").read_text()
+    assert " /usr/lib;" in script
+    script = script.replace(" /usr/lib;", f" {lib};")
+    command = ["sh", "-s", str(build.folder), ""]
+    said = subprocess.run(command, input=script, stdout=subprocess.PIPE, text=True, check=True).stdout
+    found = {Path(line.removeprefix("program ")).name for line in said.splitlines() if line.startswith("program ")}
+    assert found == {"rt_tests_sampler", *(path.name for path in (lib / "transport_tests").iterdir())}
+    assert len(found) > 2 * len(WITHOUT_A_LIBRARY)
 
 
 def tools_of_this_machine(prefix):

@@ -34,8 +34,8 @@ def changed(tmp_path: Path, *changes: tuple[str, object], base: str = DEFAULT_PR
 
 def test_every_profile_loads():
     assert profile_names() == [
-        "kirkstone-noetic", "scarthgap-humble", "scarthgap-jazzy", "scarthgap-noetic", "thesis-2014", "wrynose-lyrical",
-        "wrynose-noetic",
+        "kirkstone-noetic", "scarthgap-base", "scarthgap-humble", "scarthgap-jazzy", "scarthgap-noetic", "thesis-2014",
+        "wrynose-base", "wrynose-lyrical", "wrynose-noetic",
     ]  # fmt: skip
     for name in profile_names():
         profile, release = load_profile(name)
@@ -160,7 +160,7 @@ def test_a_key_given_twice(tmp_path):
 
 
 def test_an_unknown_name():
-    with pytest.raises(UsageError, match="unknown profile 'dora', known: kirkstone-noetic, scarthgap-humble,"):
+    with pytest.raises(UsageError, match="unknown profile 'dora', known: kirkstone-noetic, scarthgap-base,"):
         load_profile("dora")
 
 

@@ -229,6 +229,23 @@ def test_what_follows_the_distribution_of_ros():
     assert layers and {"ros2-layer", "ros2-jazzy-layer"} <= {*layers[1].split()} and "ros1" not in layers[1]
 
 
+@pytest.mark.parametrize("name", ["scarthgap-base", "wrynose-base"])
+def test_a_profile_without_ros_has_nothing_of_ros(name):
+    """Neither in layers nor in recipes, which only openembedded-core is needed for."""
+    _, release = load_profile(name)
+    tree = tree_of(name)
+    assert (release.layers, release.layer_depends) == (("meta",), ("core",))
+    assert 'LAYERDEPENDS_rt-tests-layer = "core"\n' in text(tree, "meta-rt-tests/conf/layer.conf")
+    assert "openembedded-layer" not in text(tree, "meta-rt-tests/README.md") and "meta-ros" not in text(tree, "kas.yml")
+    recipes = {path.stem.partition("_")[0]: text(tree, path) for path in tree if path.suffix == ".bb"}
+    suites = {"rt-tests-sampler", "rt-tests-support", "transport-tests"}
+    assert suites <= recipes.keys() and not {"communication-tests", "topology-tests"} & recipes.keys()
+    for recipe in (*suites, "packagegroup-rt-tests", "rt-tests-image"):
+        assert not re.search(r"^inherit .*\bros|ROS_BPN|googletest", recipes[recipe], re.MULTILINE), recipe
+    case = text(tree, "meta-rt-tests/lib/oeqa/runtime/cases/rt_tests.py")
+    assert "middleware: [futex, tcp, udp, unix]" in case and "timer_tests" not in case and "RUNS = 8\n" in case
+
+
 def test_every_transport_of_a_release_has_a_folder():
     used = {
         name for release in load_releases().values() for ros in release.ros_distros.values() for name in ros.transports

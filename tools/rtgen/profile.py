@@ -74,7 +74,7 @@ class KernelRecipe(Config):
 class RosDistro(Config):
     """A ROS distribution in the layers of a release; releases.yml explains each key."""
 
-    version: Literal[1, 2]
+    version: Literal[0, 1, 2]
     transports: dict[str, RecipeName] = Field(default={})
     set: dict[str, str] = Field(default={})
     left_out: dict[str, dict[str, str]] = Field(default={})
@@ -97,25 +97,12 @@ class Release(Config):
     machines: Strings
     layers: Strings
     layer_depends: Strings
+    ros_layers: Strings = ()
+    ros_layer_depends: Strings = ()
     wic_boot_plugin: str | None
     wks_folder: str | None
     own_u_boot: bool
     key_types: Annotated[tuple[KeyType, ...], Field(strict=False, min_length=1)]
-
-    def with_ros(self, distro: str) -> Self:
-        """This release with what images with one of its ROS distributions have: layers, and what is left out."""
-        ros = self.ros_distros[distro]
-
-        def filled(names: Strings) -> Strings:
-            return tuple(name.format(version=ros.version, distro=distro) for name in names)
-
-        return self.model_copy(
-            update={
-                "layers": filled(self.layers),
-                "layer_depends": filled(self.layer_depends),
-                "left_out": self.left_out | ros.left_out,
-            }
-        )
 
 
 class Releases(Config):
@@ -292,11 +279,31 @@ def load_profile(name: str) -> tuple[Profile, Release]:
     release = releases[profile.release]
     if profile.ros_distro not in release.ros_distros:
         raise UsageError(f"{path}: {_unsupported('ros_distro', profile.ros_distro, profile, release.ros_distros)}")
-    release = release.with_ros(profile.ros_distro)
+    release = _with_ros(release, profile)
     problems = _misfits(profile, release)
     if problems:
         raise UsageError("\n".join(f"{path}: {problem}" for problem in problems))
     return profile, release
+
+
+def _with_ros(release: Release, profile: Profile) -> Release:
+    """A release with what the profile's ROS, or its having none, adds: layers, and what is left out."""
+    ros = release.ros_distros[profile.ros_distro]
+
+    def filled(names: Strings) -> Strings:
+        return tuple(name.format(version=ros.version, distro=profile.ros_distro) for name in names if ros.version)
+
+    left_out = {
+        what: {name.replace("{image}", profile.image.name): value for name, value in settings.items()}
+        for what, settings in (release.left_out | ros.left_out).items()
+    }
+    return release.model_copy(
+        update={
+            "layers": release.layers + filled(release.ros_layers),
+            "layer_depends": release.layer_depends + filled(release.ros_layer_depends),
+            "left_out": left_out,
+        }
+    )
 
 
 def _unsupported(key: str, value: str, profile: Profile, allowed: Iterable[str]) -> str:

@@ -10,8 +10,8 @@ RT_TESTS_SSH_SERVER ?= "openssh"
 IMAGE_FEATURES += "ssh-server-${RT_TESTS_SSH_SERVER}"
 IMAGE_LINGUAS = ""
 
-IMAGE_INSTALL = "packagegroup-core-boot packagegroup-rt-tests openssh-sftp-server ${CORE_IMAGE_EXTRA_INSTALL}"
-IMAGE_INSTALL += "rosmaster catkin python3-xmlrpc htop hwlatdetect rt-tests stress-ng util-linux-chrt util-linux-taskset"
+IMAGE_INSTALL = "packagegroup-core-boot packagegroup-rt-tests ${CORE_IMAGE_EXTRA_INSTALL}"
+IMAGE_INSTALL += "rosmaster catkin python3-xmlrpc htop hwlatdetect openssh-sftp-server rt-tests stress-ng util-linux-chrt util-linux-taskset"
 
 # A machine with preempt-rt promises a real-time kernel, which one without our options is not.
 python () {

@@ -7,11 +7,11 @@ from xml.etree import ElementTree
 
 from rtfiles.config import read_yaml
 from rtfiles.errors import UsageError
-from rtgen.profile import Profile, Release
+from rtgen.profile import Profile, Release, RosDistro
 from rtgen.suites import GRAPH, SAMPLER, SUPPORT, TRANSPORTS, packages, sources, transports
 
 # The client libraries that the suites measure, by ROS version.
-CLIENTS = {1: ("roscpp",), 2: ("rcl", "rclcpp")}
+CLIENTS: dict[int, tuple[str, ...]] = {0: (), 1: ("roscpp",), 2: ("rcl", "rclcpp")}
 # What the sources of 2014 need besides our needs: their library uses ROS, and their messages use other messages.
 OF_2014 = {"rt_tests_support": ("roscpp",), "communication_tests": ("std-msgs",)}
 
@@ -51,6 +51,8 @@ def recipes_of(profile: Profile, release: Release) -> Iterator[Recipe]:
         if profile.suites and package in (SAMPLER, GRAPH, TRANSPORTS):
             continue  # 2014 had none of them
         needs = read_dependencies(sources() / package / "package.xml", ros.version)
+        if needs.tools and not ros.version:
+            continue  # only packages of ROS name a build tool
         build, run, variables = {*needs.build, *needs.run}, {*needs.run}, {}
         if profile.suites:
             build.update(OF_2014.get(package, ()))
@@ -67,7 +69,7 @@ def recipes_of(profile: Profile, release: Release) -> Iterator[Recipe]:
             summary = "Hosts the nodes of a graph and records what each of them does"
             description = "A program that runs as each process of a graph of nodes, which a text describes"
         elif package == TRANSPORTS:
-            names = sorted({name for name, debian in transports().items() if not debian} | ros.transports.keys())
+            names = transports_of(ros)
             build.update(ros.transports.values())
             variables["TRANSPORTS"] = ";".join(names)
             summary = "Measures the end-to-end latency of publish-subscribe without ROS"
@@ -87,9 +89,15 @@ def recipes_of(profile: Profile, release: Release) -> Iterator[Recipe]:
             build=tuple(sorted(map(_dashed, build))),
             run=tuple(sorted(map(_dashed, run))),
             library=package == SUPPORT,
-            unit_tests=package == SUPPORT and not profile.suites,
+            # GoogleTest is in meta-openembedded, a layer that an image without ROS does not need.
+            unit_tests=package == SUPPORT and not profile.suites and ros.version > 0,
             variables=variables,
         )
+
+
+def transports_of(ros: RosDistro) -> list[str]:
+    """The transports that are measured through without ROS."""
+    return sorted({name for name, debian in transports().items() if not debian} | ros.transports.keys())
 
 
 def read_dependencies(path: Path, ros_version: int) -> Dependencies:

@@ -16,7 +16,7 @@ import yaml
 from rtfiles.errors import UsageError
 from rtfiles.invocation import as_called
 from rtgen.checkout import shipped
-from rtgen.layer.recipes import CLIENTS, recipes_of
+from rtgen.layer.recipes import CLIENTS, recipes_of, transports_of
 from rtgen.profile import LAYER, Profile, ProfileMachine, Release, Repository, key_pattern, load_machines
 
 KAS_VERSION = 14  # of kas 4.0, the first with `commit`; kas 5 reads it
@@ -59,6 +59,7 @@ def render(name: str, profile: Profile, release: Release, prefix: str = "") -> T
         "release": release,
         "ros": ros,
         "clients": CLIENTS[ros.version],
+        "transports": transports_of(ros),
         "o": release.separator,
         "kas_version": KAS_VERSION,
         # The variable that lists further environment variables for BitBake; it was renamed in 2022.
