@@ -305,7 +305,7 @@ def check_arguments(board: Board, link: Link, scripts: PurePosixPath, program: s
         assert {hit.values["source_ns"] for hit in taken} ^ set(numbers) <= {numbers[0] - 1, numbers[-1]}
     assert {hit.values["topic"] for hit in (*published, *taken)} == {"/a"}
     assert {hit.values["taken"] for hit in taken} == {1}
-    assert {(hit.values["period_ns"], hit.values["clock"]) for hit in calls} == {(20_000_000, "steady")}
+    assert {(hit.values["period_ns"], hit.values["clock"]) for hit in calls[1:]} == {(20_000_000, "steady")}
     assert min(hit.at_ns - hit.values["expected_ns"] for hit in calls[1:]) > 0  # type: ignore[operator]
 
 
