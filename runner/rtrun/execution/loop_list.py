@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import PurePosixPath
 
 from rtfiles.output import printable
-from rtrun.execution.observation import Watched
+from rtrun.execution.observation import NO_ADDRESSES, Watched
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.plan.topology.rates import cpus_text
 from rtrun.probes import session
@@ -45,7 +45,7 @@ def list_loops(link: Link, scripts: PurePosixPath, watched: Watched) -> tuple[st
 def _look(link: Link, scripts: PurePosixPath, watched: Watched) -> FlowAccumulator | None:
     nothing = Placement(probes=(), refused=())
     if watched.loops is None:
-        raise TargetError("the kernel hides the addresses of its functions (kernel.kptr_restrict)")
+        raise TargetError(NO_ADDRESSES)
     stream = session.observe(link, scripts, nothing, watched.found, for_s=LOOK_S, loops=watched.loops)
     seen: FlowAccumulator | None = None
     with contextlib.closing(stream):

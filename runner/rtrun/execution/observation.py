@@ -35,6 +35,7 @@ _KERNEL_EVENTS_PER_S = 80_000
 # A program that restarts is back within this time.
 GONE_NS = 10 * 10**9
 NOTHING = "no program runs there that uses ROS, and no thread with a real-time policy"
+NO_ADDRESSES = "no loop is measured: the kernel hides the addresses of its functions (kernel.kptr_restrict)"
 KEPT_FIRST = "what was observed is kept first; Ctrl-C once more ends rtrun at once"
 # Recorded only for paths of topics and for causes of late values: each message has several of them.
 OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
@@ -57,6 +58,8 @@ class Watched:
 
     def why_nothing(self, plan: ObservationPlan) -> str:
         """Why there is nothing to observe; empty if there is something, or a program with a named loop may begin."""
+        if self.loops is None and plan.loops and not self.placement.probes:
+            return NO_ADDRESSES
         if self.placement.probes or (
             self.loops is not None and (plan.loops or len(self.ros_programs) < len(self.found))
         ):
@@ -203,6 +206,8 @@ def observe(
                         store=RowStore(folder),
                         loops=watched.loops,
                     )
+                    if watched.loops is None and plan.loops:
+                        flows.loops.missing[NO_ADDRESSES] = None
                     flows.observe(roster.alive)
                     figures = LiveFigures(flows, plan.deadlines, late.look if late else None)
                 for pid in each.ended:

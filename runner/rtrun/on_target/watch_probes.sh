@@ -12,10 +12,11 @@
 #       EVENT      of the kernel, below `events` in tracefs, recorded as well; left out where the kernel does not have it
 #
 # Standard input: a line "p NAME SHA256 PATH:OFFSET ARGUMENT..." for each probe, "watch PID..." for the programs
-# whose threads are to be told, "raw" if CLOCK_MONOTONIC_RAW is to be read, "loops ADDRESS..." where loops are to be
+# whose threads are to be told, "raw" if CLOCK_MONOTONIC_RAW is to be read, "loops LIMIT ADDRESS..." where loops are to be
 # observed, "go"; then a line now and then, as long as the probes are to stay. SHA256 is of the first 64 MiB of the file at
-# PATH. ADDRESS is of a function of the kernel that the timer of a sleeping thread calls. "name NAME" is a name for
-# find_threads.sh, in which a blank is the character 1.
+# PATH. While there are threads with loops, there may be LIMIT more events in a second. ADDRESS is of a function of the
+# kernel that the timer of a sleeping thread calls. "name NAME" is a name for find_threads.sh, in which a blank is the
+# character 1.
 # Of loops the events in $loop_events are recorded, for their threads alone unless there is an EVENT.
 #
 # The names of trace and probes tell which process takes them off: "rtrun-observe-" and "rtrun_observe_", then its
@@ -288,8 +289,10 @@ rest_above_limit() {
     rate=$(((total - before) * 100 / passed))
     before=$total
     last=$now
-    [ $rate -gt "$limit" ] || return 0
-    pause=$((rate / limit))
+    allowed=$limit
+    [ -z "$threads" ] || allowed=$((limit + loop_limit))
+    [ $rate -gt $allowed ] || return 0
+    pause=$((rate / allowed))
     [ $pause -le 10 ] || pause=10
     mark rests
     echo 0 >"$instance/events/enable"
@@ -427,6 +430,7 @@ watched=
 is_told=
 opened=
 functions=
+loop_limit=
 names=
 processes=$(echo /proc/[0-9]*)
 threads=
@@ -458,7 +462,7 @@ while read -r word one two three rest; do
         print_formats "$instance/events/$group/$one/format"
         ;;
     watch) watched="$one $two $three $rest" ;;
-    loops) functions="$one $two $three $rest" ;;
+    loops) loop_limit=$one functions="$two $three $rest" ;;
     name) names="${names:+$names
 }$(printf '%s' "$one" | tr '\001' ' ')" ;;
     raw)

@@ -14,7 +14,7 @@ START, EXPIRY, WAKING, SWITCH = EVENTS = (
 )  # fmt: skip
 """The events of loops; watch_probes.sh has the same in `loop_events`."""
 EVENTS_PER_S = 120_000
-"""The limit for events of loops, besides that of probes. A cycle has five."""
+"""How many events there may be in a second besides those of probes, while loops are observed. A cycle has five."""
 BUFFER_KB = 8192
 """The kernel's memory for them, for each CPU: about a second at the limit."""
 THREADS_MAX = 100
@@ -35,7 +35,7 @@ class LoopWatch:
     def lines(self) -> tuple[str, ...]:
         """As watch_probes.sh takes it."""
         named = (f"name {name.replace(' ', chr(1))}" for name in self.names if name.isprintable())
-        return (*named, f"loops {' '.join(f'{address:x}' for address in self.functions)}")
+        return (*named, f"loops {EVENTS_PER_S} {' '.join(f'{address:x}' for address in self.functions)}")
 
 
 def thread_name(name: str) -> str:

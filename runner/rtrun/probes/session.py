@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from rtrun.probes.hits import Gap, GapCause
-from rtrun.probes.loops import BUFFER_KB, EVENTS_PER_S, LoopWatch
+from rtrun.probes.loops import BUFFER_KB, LoopWatch
 from rtrun.probes.placement import PlacedProbe, Placement, RefusedProbe
 from rtrun.probes.programs import ObservableProgram, pattern
 from rtrun.probes.stream import Batch, Ready, WatchReader
@@ -133,7 +133,6 @@ class _Watching:
         buffer_kb = min(max(limit_per_s * 2 * _EVENT_BYTES // 1024, _BUFFER_KB[0]), _BUFFER_KB[1])
         buffer_kb += _BUFFER_KERNEL_KB if kernel_events else 0
         buffer_kb += BUFFER_KB if loops is not None else 0
-        limit_per_s += EVENTS_PER_S if loops is not None else 0
         self._is_traced = bool(kernel_events) or loops is not None
         self._loops = loops.names if loops is not None else ()
         self._for_s = for_s

@@ -20,10 +20,13 @@ from rtrun.flows.streams import streams
 from rtrun.kinds.loop import STREAM as LOOP
 from rtrun.kinds.loop_response import STREAM as RESPONSE
 from rtrun.plan.observation import ObservationPlan, read_stream_deadline
+from rtrun.probes import loops, session
+from rtrun.probes.hits import GapCause
 from rtrun.probes.loops import LoopWatch
 from rtrun.probes.placement import Placement
 from rtrun.probes.programs import find_programs
 from rtrun.targets.errors import TargetError
+from rtrun.targets.inspection import kernel_trace
 
 pytestmark = [pytest.mark.trace, pytest.mark.timeout(180)]
 MS = 10**6
@@ -204,6 +207,21 @@ def test_a_thread_that_never_sleeps_has_no_loop(here, loop, tmp_path):
     assert "no loop: the thread never slept: it waits busily, or does not wait at all" in stream.remarks
 
 
+def test_above_the_limit_events_rest(here, loop, tmp_path, monkeypatch):
+    """The limit of loops comes on top of that of probes, while there is a loop."""
+    monkeypatch.setattr(loops, "EVENTS_PER_S", 1000)
+    monkeypatch.setattr(session, "LIMIT_PER_S", 1000)
+    out = tmp_path / "out"
+    with running_loop(loop, "absolute", 50, out):
+        result = observe(here, "loop:observed-loop=200us", for_s=12)
+    assert {gap.cause for gap in result.flows.gaps} == {GapCause.RESTED} and result.finished.rests
+    stream = only(result, "observed-loop")
+    due, cuts = stream.columns["due_ns"], stream.cuts
+    assert cuts.size and due.size and not stream.columns["skipped"][cuts].any()
+    inside = [gap.from_ns < at < gap.until_ns for gap in result.flows.gaps for at in stream.columns["running_ns"]]
+    assert not any(inside)
+
+
 def test_threads_that_come_later_and_go(here, loop, tmp_path):
     """The program that is named begins while it is observed, ends, and begins anew: its loop is the same."""
     begun, rows = [], []
@@ -289,6 +307,15 @@ def test_a_loop_of_asyncio_is_named_by_its_script(here, tmp_path):
     # Where it is late, it goes on without a sleep. After each sleep it has at least one cycle.
     after = np.searchsorted(ran, running_ns)
     assert np.count_nonzero(np.diff(after) == 0) <= 2 * stream.source.unseen + running_ns.size / 20
+
+
+def test_a_kernel_that_hides_its_addresses(here, monkeypatch):
+    monkeypatch.setattr(kernel_trace, "read_symbols", lambda *_: {})
+    plan = ObservationPlan(for_s=1, deadlines=[read_stream_deadline("loop:arm=1ms")])
+    assert observation.watch(here, SCRIPTS, plan).loops is None
+    nobody = observation.Watched(found=(), placement=Placement(probes=(), refused=()))
+    with pytest.raises(TargetError, match=r"no loop is measured: the kernel hides the addresses .*kptr_restrict"):
+        observation.observe(here, SCRIPTS, nobody, plan, trace="", onlooker=observation.NOBODY, now=utc_now)
 
 
 def test_nothing_to_observe(here):
