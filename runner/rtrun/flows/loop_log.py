@@ -1,9 +1,10 @@
-"""What is known of the loop of a thread: its activations, the grid of its due times, and what a reader has to know."""
+"""What is known of a thread and its loop: its activations, the grid of its due times, and what a reader has to know."""
 
 from array import array
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,9 +12,7 @@ from rtfiles.output import counted
 from rtfiles.quantities import time
 from rtrun.flows.observation_state import ObservationState
 from rtrun.kinds.values import Int64s
-
-if TYPE_CHECKING:
-    from rtrun.flows.loops import LoopThread
+from rtrun.probes.hits import ObservedProgram
 
 GRID_ROWS = 1000  # activations that show the period
 _GRID_ROWS_LEAST = 8
@@ -129,6 +128,48 @@ class LoopLog:
             return "the thread never slept: it waits busily, or does not wait at all"
         woken = ", ".join(f"{number} times by {who}" for who, number in self.wakers.most_common(3))
         return f"no timer ends its sleeps: it was woken {woken}"
+
+
+@dataclass(slots=True)
+class LoopTimer:
+    """A timer that a thread has armed; `due_ns` is of CLOCK_MONOTONIC."""
+
+    handle: int
+    due_ns: int
+    asked_ns: int
+    is_sleep: bool
+    is_realtime: bool
+    expired_ns: int | None = None
+    expired_cpu: int = -1
+
+
+class LoopThread:
+    """A living thread whose loop is observed."""
+
+    __slots__ = (
+        "asleep_ns", "is_alive", "is_joined", "is_on", "log", "on_ns", "open_ns", "program", "run_ns", "tid", "timers",
+        "woken",
+    )  # fmt: skip
+    log: LoopLog
+
+    def __init__(self, tid: int, program: ObservedProgram) -> None:
+        self.tid, self.program = tid, program
+        self.is_alive = True
+        self.cut()
+
+    def cut(self) -> None:
+        """Events are missing: nothing is known of what it does."""
+        self.is_joined = False
+        """Its next activation follows the one before without a gap."""
+        self.timers: dict[int, LoopTimer] = {}
+        self.asleep_ns: int | None = None
+        """Since when it sleeps; None: it does not, or that is not known."""
+        self.is_on = False
+        self.on_ns: int | None = None
+        self.woken: tuple[LoopTimer | None, int] | None = None
+        self.open_ns: int | None = None
+        """When the activation was due that has not ended."""
+        self.run_ns = 0
 
 
 def _parts(worst: Latest) -> str:

@@ -5,11 +5,10 @@ the thread began the sleep that its next timer ended, so what it waits for withi
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from rtrun.flows.loop_log import GRID_ROWS, UNKNOWN_NS, Latest, LoopLog
+from rtrun.flows.loop_log import GRID_ROWS, UNKNOWN_NS, Latest, LoopLog, LoopThread, LoopTimer
 from rtrun.flows.observation_state import ObservationState
 from rtrun.flows.programs import NAME_CHARACTERS_MAX, numbered
 from rtrun.kinds.limits import TIME_MAX_NS
@@ -22,48 +21,6 @@ _ASLEEP, _ENDED = 0x03, 0x30  # bits of prev_state: S and D, X and Z
 _STEP_NS = 1000  # two readings of the offset of a clock differ by less
 _TIMERS_MAX = 64  # of a thread that are armed at one time
 _WAKERS_MAX = 16
-
-
-@dataclass(slots=True)
-class _Timer:
-    """A timer that a thread has armed; `due_ns` is of CLOCK_MONOTONIC."""
-
-    handle: int
-    due_ns: int
-    asked_ns: int
-    is_sleep: bool
-    is_realtime: bool
-    expired_ns: int | None = None
-    expired_cpu: int = -1
-
-
-class LoopThread:
-    """A living thread whose loop is observed."""
-
-    __slots__ = (
-        "asleep_ns", "is_alive", "is_joined", "is_on", "log", "on_ns", "open_ns", "program", "run_ns", "tid", "timers",
-        "woken",
-    )  # fmt: skip
-    log: LoopLog
-
-    def __init__(self, tid: int, program: ObservedProgram) -> None:
-        self.tid, self.program = tid, program
-        self.is_alive = True
-        self.cut()
-
-    def cut(self) -> None:
-        """Events are missing: nothing is known of what it does."""
-        self.is_joined = False
-        """Its next activation follows the one before without a gap."""
-        self.timers: dict[int, _Timer] = {}
-        self.asleep_ns: int | None = None
-        """Since when it sleeps; None: it does not, or that is not known."""
-        self.is_on = False
-        self.on_ns: int | None = None
-        self.woken: tuple[_Timer | None, int] | None = None
-        self.open_ns: int | None = None
-        """When the activation was due that has not ended."""
-        self.run_ns = 0
 
 
 class LoopRecord:
@@ -225,10 +182,10 @@ class LoopRecord:
         due_ns = soft_ns - offset_ns if is_realtime and offset_ns is not None else soft_ns
         if not 0 <= due_ns <= TIME_MAX_NS or len(one.timers) >= _TIMERS_MAX:
             return
-        one.timers[handle] = _Timer(handle, due_ns, at_ns, is_sleep, is_realtime)
+        one.timers[handle] = LoopTimer(handle, due_ns, at_ns, is_sleep, is_realtime)
         self._armed[handle] = one
 
-    def _disarm(self, one: LoopThread, timer: _Timer) -> None:
+    def _disarm(self, one: LoopThread, timer: LoopTimer) -> None:
         one.timers.pop(timer.handle, None)
         self._armed.pop(timer.handle, None)
 
@@ -307,7 +264,7 @@ class LoopRecord:
         one.asleep_ns = None
 
     def _activate(
-        self, one: LoopThread, timer: _Timer, waking_ns: int, running_ns: int, end_ns: int, before: int, name: str
+        self, one: LoopThread, timer: LoopTimer, waking_ns: int, running_ns: int, end_ns: int, before: int, name: str
     ) -> None:
         """The time of a thread has come and it runs; the activation before ended at `end_ns`."""
         log = one.log
