@@ -18,7 +18,7 @@ TIME = re.compile(r"\w+_S")
 TIMED = ("rtrun.targets.", "rtrun.execution.")
 # Pauses between two attempts, parts of a time that stands on the page, and what is printed or counted at most.
 NO_LIMIT = re.compile(
-    r"_?(POLL|LOOK|RETRY|WAIT|SLICE|WATCH|READ|SAY_AFTER|KILL_GRACE|DEADLINE_EXTRA|OBSERVED_EXTRA)_S|"
+    r"_?(POLL|FOLLOW|LOOK|RETRY|WAIT|SLICE|WATCH|READ|SAY_AFTER|KILL_GRACE|DEADLINE_EXTRA|OBSERVED_EXTRA)_S|"
     r"_?(NAME|NAMED|THREAD_NAME|REASON|LISTED|SHOWN|POINTS|PLACES|WIDTH|GRID|COUNT|OFF|PERIOD_OFF)_MAX"
 )
 NO_LIMITS = {
