@@ -50,7 +50,7 @@ from rtrun.judgement import study as studies
 from rtrun.judgement.study import study
 from rtrun.kinds.lateness import Of
 from rtrun.plan import question as questions
-from rtrun.plan.question import Bursts, Question, Tolerance, read_tolerance
+from rtrun.plan.question import THESIS, Bursts, Question, Tolerance, read_tolerance
 from rtrun.results.journal import open_journal
 from rtrun.results.record import RunStatus
 from rtrun.results.run_state import GivenUp, RunState
@@ -339,7 +339,7 @@ def proven_at_any_look_in_boots(spread: float, rng: Rng) -> bool:
 @cache
 def _proofs(probability: float, n: int) -> Int64s:
     """From how many measurements on 0, 1, 2, ... 199 misses prove P(miss) below the target, (k,), up to n."""
-    question, proofs = Question(probability=probability, bursts=1), [1]
+    question, proofs = replace(THESIS, probability=probability, bursts=1), [1]
     while proofs[-1] <= n and len(proofs) <= 200:
         proofs.append(smallest(lambda total: proves(len(proofs) - 1, total, 1.0, question), proofs[-1]) or n + 1)
     return np.array(proofs[1:], np.int64)

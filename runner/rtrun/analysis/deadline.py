@@ -167,9 +167,7 @@ def judge(account: Account, question: Question) -> Verdict:
     alike = count_alike(runs)
     n, misses = math.floor(sum(each.n for each in alike)), sum(each.misses for each in alike)
     joined = join_boots(runs)
-    constancy = examine_constancy(
-        joined, probability=probability, confidence=confidence, deadline_ns=question.deadline_ns
-    )
+    constancy = examine_constancy(joined, probability=probability, confidence=confidence, deadline_ns=question.limit_ns)
     effect, assumes = _effect(runs, alike, constancy.clusters, question, account.measurements_per_event)
     boots = len(set(boots_of(runs)))
     confidence_above = of_few(confidence, boots)
@@ -250,7 +248,7 @@ def judge(account: Account, question: Question) -> Verdict:
         unseen_share=account.unseen_share,
         hidden_share=account.hidden_share,
         unlike=_unlike(account, question),
-        climbs=find_climbs(joined, question.deadline_ns),
+        climbs=find_climbs(joined, question.limit_ns),
         episodes=episodes,
         change=constancy.change,
         refused=refused,
@@ -345,8 +343,8 @@ def _refusal(question: Question, account: Account) -> str | None:
     if account.emulated:
         return "measured on an emulated board"
     step_ns = account.clock_step_ns
-    if step_ns is not None and question.deadline_ns < 2 * step_ns:
-        return f"the deadline of {question.deadline_ns} ns is finer than two steps of the clock ({step_ns} ns each)"
+    if step_ns is not None and question.limit_ns < 2 * step_ns:
+        return f"the deadline of {question.limit_ns} ns is finer than two steps of the clock ({step_ns} ns each)"
     return None
 
 

@@ -56,4 +56,4 @@ def read_with_deadline(args: argparse.Namespace) -> "tuple[Archive, int]":
     archive = read_archive(reach(args.archive))
     for words, number in archive.ignored.items():
         print_note(f"rtrun: {counted(number, 'run')} ignored: {words}")
-    return archive, args.deadline or THESIS.deadline_ns
+    return archive, args.deadline or THESIS.limit_ns

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, TypeVar, get_args
 
 from rtrun.kinds.lateness import Of
 from rtrun.plan.quantities import read_probability, read_time_ns
-from rtrun.plan.question import THESIS, Question, may_follow, read_bursts, read_tolerance
+from rtrun.plan.question import NO_DEADLINE, Question, may_follow, read_bursts, read_tolerance
 
 if TYPE_CHECKING:
     from rtrun.judgement.study import Study
 
 T = TypeVar("T")
-CONFIDENCE = THESIS.confidence
+CONFIDENCE = NO_DEADLINE.confidence
 
 
 def argument(read: Callable[[str], T]) -> Callable[[str], T]:
@@ -80,15 +80,12 @@ def add_confidence(parser: argparse.ArgumentParser) -> None:
 
 
 def question(args: argparse.Namespace, results: Path) -> Question:
-    """The question in the arguments; what they leave open comes from the campaign's goal, or else from the thesis.
-
-    A deadline that neither of them names stays open: what the thesis asked in 2014 is no concern of other systems.
-    """
+    """The question in the arguments; what they leave open comes from the campaign's goal, or else from `NO_DEADLINE`."""
     from rtfiles.output import print_note
     from rtrun.results.goal_file import read_goal
 
     goal = read_goal(results)
-    before = goal.question if goal else THESIS
+    before = goal.question if goal else NO_DEADLINE
     given = {
         "of": args.of,
         "tolerance": args.tolerate,
@@ -98,8 +95,6 @@ def question(args: argparse.Namespace, results: Path) -> Question:
         "bursts": args.bursts,
     }
     asked = replace(before, **{key: value for key, value in given.items() if value})
-    is_stated = bool((goal and goal.deadline_ns) or args.deadline)
-    asked = replace(asked, is_deadline_stated=is_stated, has_deadline=is_stated)
     if goal and not may_follow(before, asked):
         print_note(
             f"rtrun: measured for P({before.miss}): the answer to another question, chosen after looking, is less sure "

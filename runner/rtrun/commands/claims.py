@@ -24,13 +24,13 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import console, listed, print_json, print_line
     from rtrun.judgement.study import study
-    from rtrun.plan.question import Question
+    from rtrun.plan.question import THESIS
     from rtrun.report.screen import print_styled
     from rtrun.report.terminal import print_banner
     from rtrun.thesis.examiners import examine_claims
     from rtrun.thesis.published import published_figures
 
-    analysed = study(args.results, Question(confidence=args.confidence), bounds=False)
+    analysed = study(args.results, dataclasses.replace(THESIS, confidence=args.confidence), bounds=False)
     examined, published = examine_claims(analysed), published_figures(analysed)
     if args.json:
         claims = [dataclasses.asdict(claim) for claim in examined]

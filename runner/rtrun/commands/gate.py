@@ -135,12 +135,13 @@ def _against(args: argparse.Namespace) -> "Gate":
         )
     archive = reach(args.against)
     from rtrun.archive.against import gate_against
+    from rtrun.plan.question import THESIS
 
     asked = question(args, args.results)
     return gate_against(
         args.results,
         archive,
-        deadline_ns=asked.deadline_ns,
+        deadline_ns=asked.deadline_ns or THESIS.limit_ns,
         of=asked.of,
         margin_ns=args.margin,
         false_alarms=args.false_alarms or FALSE_ALARMS,

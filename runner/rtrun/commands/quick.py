@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     print_status("writing the report")
     asked = NO_DEADLINE
     if args.deadline:
-        asked = Question(deadline_ns=args.deadline, probability=ASKED[0], is_deadline_stated=True)
+        asked = Question(deadline_ns=args.deadline, probability=ASKED[0])
     examined = study(results, asked)
     report, written = results / "report.html", contents(examined)
     atomic.write_named(report, page.html(examined, written).encode("utf-8", "replace"))
@@ -207,7 +207,7 @@ def _as_data(study: "Study", written: "Contents", findings: "list[CheckResult]",
         "schema": 1,
         "platform": study.platform,
         "results": str(results),
-        "deadline_ns": study.question.deadline_ns if study.question.has_deadline else None,
+        "deadline_ns": study.question.deadline_ns,
         "confidence": study.question.confidence,
         "groups": groups,
         "left_out": study.left_out,
@@ -232,7 +232,7 @@ def _print(study: "Study", written: "Contents", findings: "list[CheckResult]", r
     call = as_called("rtrun")
     print_banner(study.platform, study.preempt_rt)
     made = written.scenarios
-    if study.question.has_deadline or not made:
+    if study.question.deadline_ns or not made:
         print_line(sentences.headline(study, made))
         console().print(sentences.lines(study, made))
     else:
@@ -240,7 +240,7 @@ def _print(study: "Study", written: "Contents", findings: "list[CheckResult]", r
         print_line("without a deadline there are figures and no answer: ask with --deadline TIME, as --deadline 1ms")
     for text in study.left_out:
         print_line(f"not analysed: {text}")
-    for probability in ASKED if made and study.question.has_deadline else ():
+    for probability in ASKED if made and study.question.deadline_ns else ():
         answers = [answer_to(each.group, probability) for each in made]
         print_line(sentences.answers_in_words(answers, one_in(probability)))
     if written.why_late:

@@ -88,7 +88,7 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
     corrected = correct([change.comparison for change in changes])
     return Compared(
         platform=first.platform,
-        deadline_ns=first.question.deadline_ns if first.question.has_deadline else None,
+        deadline_ns=first.question.deadline_ns,
         miss=first.asked.miss,
         changes=tuple(
             replace(change, comparison=comparison, label=_label(a, b, of_several=counts[a.label] > 1))

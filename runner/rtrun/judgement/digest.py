@@ -119,7 +119,7 @@ def digest(series: Series, question: Question | None, startup_loops: int = 0) ->
     tolerance = question.tolerance if question and header.main else NONE_TOLERATED
     undecidable = header.undecidable or (None if question else NO_DEADLINE)
     if isinstance(series, HistogramSeries):
-        counted = _count_without_order(series, question.deadline_ns, tolerance) if question else NO_DEADLINE
+        counted = _count_without_order(series, question.limit_ns, tolerance) if question else NO_DEADLINE
         return JudgedDigest(
             header=header,
             figures=figures,
@@ -133,12 +133,12 @@ def digest(series: Series, question: Question | None, startup_loops: int = 0) ->
     has_order = header.main and values_ns.size > 0
     head, startup, trials = None, None, None
     if question:
-        head = head_of(values_ns, series.absent, question.deadline_ns)
+        head = head_of(values_ns, series.absent, question.limit_ns)
         steady_ns, absent = values_ns, series.absent
         if startup_loops:
-            startup, steady_ns, absent = split(values_ns, absent, question.deadline_ns, startup_loops)
+            startup, steady_ns, absent = split(values_ns, absent, question.limit_ns, startup_loops)
         step_ns = header.clock_step_ns or 1
-        trials = count_misses(steady_ns, question.deadline_ns, absent, tolerance, header.period_ns, step_ns)
+        trials = count_misses(steady_ns, question.limit_ns, absent, tolerance, header.period_ns, step_ns)
     return JudgedDigest(
         header=header,
         figures=figures,

@@ -47,7 +47,7 @@ def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
             attribution = attribute(
                 below.blocks,
                 above.blocks,
-                late_above_ns=study.question.deadline_ns if study.question.has_deadline else None,
+                late_above_ns=study.question.deadline_ns,
                 confidence=study.question.confidence,
             )
         elif any(_kept_awake(below) == _kept_awake(other) for low, other in differing if low.key == below.key):

@@ -25,7 +25,7 @@ from rtrun.judgement.digest import Digest, JudgedDigest, digest
 from rtrun.judgement.groups import Group, key_of, scenario, short_names, slowest
 from rtrun.kinds.known import MAIN_2014
 from rtrun.kinds.lateness import judged
-from rtrun.plan.question import NONE_TOLERATED, THESIS, Question
+from rtrun.plan.question import NO_DEADLINE, NONE_TOLERATED, Question
 from rtrun.plan.suites import ALLOCATIONS, measures, telling_parameters
 from rtrun.results import reading
 from rtrun.results.reading import Source
@@ -105,8 +105,8 @@ class Study:
     @property
     def deadlines_ns(self) -> tuple[int, ...]:
         """The deadlines that its groups have, ascending; where none has one, that of the question, if it has one."""
-        of_groups = {group.question.deadline_ns for group in self.groups if group.question}
-        return tuple(sorted(of_groups or ({self.question.deadline_ns} if self.question.has_deadline else ())))
+        of_groups = {group.question.limit_ns for group in self.groups if group.question}
+        return tuple(sorted(of_groups or filter(None, [self.question.deadline_ns])))
 
     @property
     def miss(self) -> str:
@@ -140,7 +140,7 @@ class Study:
 
 def study(
     path: Path,
-    question: Question = THESIS,
+    question: Question = NO_DEADLINE,
     *,
     bounds: bool = True,
     known: Known | None = None,
@@ -153,7 +153,7 @@ def study(
     refused.
     """
     source = reading.find_source(path)
-    of_file = question if question.has_deadline else None
+    of_file = question if question.deadline_ns else None
     records, refused = _read_records(source.folders)
     copies = reading.find_copies(records)
     records = {folder: record for folder, record in records.items() if folder not in copies}

@@ -64,7 +64,7 @@ def verdict_line(group: Group, name: str = "") -> VerdictLine:
 def _numbers(verdict: Verdict, group: Group) -> str:
     parts = sentences(verdict)
     startup_ns = [value.value_ns for one in group.digests for value in one.header.startup]
-    late_start = [value_ns for value_ns in startup_ns if is_late(value_ns, verdict.question.deadline_ns)]
+    late_start = [value_ns for value_ns in startup_ns if is_late(value_ns, verdict.question.limit_ns)]
     if late_start:
         parts.append(f"start-up apart: {len(late_start)} late, worst {time(max(late_start))}")
     if group.members:

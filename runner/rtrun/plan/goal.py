@@ -50,7 +50,7 @@ class Goal(Config):
         return Question(
             of=self.of,
             tolerance=self.tolerate,
-            deadline_ns=self.deadline_ns or THESIS.deadline_ns,
+            deadline_ns=self.deadline_ns,
             probability=self.probability,
             confidence=self.confidence,
             boots=self.boots,

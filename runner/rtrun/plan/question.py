@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 from rtfiles.quantities import grouped, time
@@ -77,19 +77,23 @@ class Question:
     `of` are the values that have the deadline; None: whatever the suite measures, for the cyclic timer the lateness. In
     the question of a verdict, `of` is what was judged, `latency` included. A proof has to cover bursts of misses of the
     mean length `bursts`, in loops of one stream, even if none was seen; None: the length that `bursts_asked` returns.
+    A deadline overrides those that runs were measured for. None: only runs measured for one of their own are judged.
     """
 
     of: Measure | None = None
     tolerance: Tolerance = NONE_TOLERATED
-    deadline_ns: int = 400_000
+    deadline_ns: int | None = None
     probability: float = 1e-6
     confidence: float = 0.95
     boots: int = 1
     bursts: int | None = None
-    is_deadline_stated: bool = field(default=False, compare=False)
-    """Whether the deadline was named explicitly: it then overrides the deadlines that runs were measured for."""
-    has_deadline: bool = field(default=True, compare=False)
-    """False: nobody named a deadline, and only runs that were measured for one of their own are judged."""
+
+    @property
+    def limit_ns(self) -> int:
+        """The deadline of a question that is judged. Raises ValueError if it has none."""
+        if self.deadline_ns is None:
+            raise ValueError("a question without a deadline is not judged")
+        return self.deadline_ns
 
     @property
     def covered(self) -> str:
@@ -101,7 +105,8 @@ class Question:
     @property
     def miss(self) -> str:
         """What counts as a miss, in words."""
-        late = f"{self.of or 'value'} > {time(self.deadline_ns)}"
+        limit = "its deadline" if self.deadline_ns is None else time(self.deadline_ns)
+        late = f"{self.of or 'value'} > {limit}"
         if self.tolerance == NONE_TOLERATED:
             return late
         return f"more than {self.tolerance} with {late}"
@@ -156,8 +161,9 @@ def weaker(goal: Question, asked: Question, bursts_by_default: int = 1) -> tuple
     parts = []
     if asked.of != goal.of:
         parts.append(f"of the {asked.of or LATENESS}, not of the {goal.of or LATENESS}")
-    if asked.deadline_ns > goal.deadline_ns:
-        parts.append(f"a deadline of {time(asked.deadline_ns)}, not {time(goal.deadline_ns)}")
+    if asked.deadline_ns is not None and (goal.deadline_ns is None or asked.deadline_ns > goal.deadline_ns):
+        of_goal = "that of each stream" if goal.deadline_ns is None else time(goal.deadline_ns)
+        parts.append(f"a deadline of {time(asked.deadline_ns)}, not {of_goal}")
     if asked.probability > goal.probability:
         parts.append(f"a probability of {asked.probability:g}, not {goal.probability:g}")
     if asked.confidence < goal.confidence:
@@ -169,10 +175,10 @@ def weaker(goal: Question, asked: Question, bursts_by_default: int = 1) -> tuple
     return tuple(parts)
 
 
-THESIS = Question()
-"""The thesis' deadline (section 4.1.2), which is hardly ever missed."""
-NO_DEADLINE = Question(has_deadline=False)
+NO_DEADLINE = Question()
 """Figures alone, but for runs that were measured for a deadline of their own."""
+THESIS = Question(deadline_ns=400_000)
+"""The thesis' deadline (section 4.1.2), which is hardly ever missed."""
 
 
 def unlike_share(boots: int, confidence: float) -> float:

@@ -68,7 +68,7 @@ def as_json(study: Study) -> str:
         "platform": study.platform,
         "of": study.asked.of,
         "tolerate": str(study.question.tolerance),
-        "deadline_ns": study.question.deadline_ns if study.question.has_deadline else None,
+        "deadline_ns": study.question.deadline_ns,
         "probability": study.question.probability,
         "confidence": study.question.confidence,
         "input_sha256": fingerprint(study),

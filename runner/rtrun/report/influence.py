@@ -45,7 +45,7 @@ def _path(group: Group) -> str:
 
 
 def _alone(group: Group, figure: str) -> str:
-    late_ns = group.question.deadline_ns if group.question else 0
+    late_ns = group.question.limit_ns if group.question else 0
     if figure == LATE:
         return "-" if not late_ns else f"{_middle(group, figure, late_ns):.2g}"
     enough = figure == "mean" or min(run.n for run in group.blocks) * (1 - INFLUENCE_QUANTILES[figure]) >= 1

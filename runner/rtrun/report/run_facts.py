@@ -86,11 +86,7 @@ def reproduce(study: Study) -> Table:
     asked = study.question
     of = f" --of {asked.of}" if asked.of else ""
     tolerate = f" --tolerate '{asked.tolerance}'" if asked.tolerance != NONE_TOLERATED else ""
-    # An observation has its own deadline or none, unless the question names one.
-    is_for_all = asked.has_deadline and all(
-        group.question and group.question.deadline_ns == asked.deadline_ns for group in study.groups
-    )
-    deadline = f" --deadline {time_text(asked.deadline_ns)}" if is_for_all else ""
+    deadline = f" --deadline {time_text(asked.deadline_ns)}" if asked.deadline_ns else ""
     command = f"rtrun report RESULTS{of}{tolerate}{deadline}"
     rows.append(("examined", f"{command} --probability {asked.probability!r} --confidence {asked.confidence!r}"))
     rows.append(("input", f"sha256 {digest} of all closing records"))

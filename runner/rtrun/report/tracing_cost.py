@@ -46,7 +46,7 @@ def tracing_cost_at(source: Source, of: Measure | None) -> tuple[Table | None, t
     try:
         if all(read_record(folder).trace != UNTRACED for folder in source.folders):
             return None, ()
-        return tracing_cost(study(source.path, Question(of=of, has_deadline=False), bounds=False)), ()
+        return tracing_cost(study(source.path, Question(of=of), bounds=False)), ()
     except UsageError as error:
         return None, tuple(str(error).splitlines())
 

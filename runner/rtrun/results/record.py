@@ -240,9 +240,8 @@ class RunRecord(Config):
 
     def asked(self, question: Question) -> Question | None:
         """The question for this run, with its own deadline unless `question` names one; None: it has no deadline."""
-        if question.is_deadline_stated or (self.subject == "started" and self.deadline_ns is None):
-            return question if question.has_deadline else None
-        return replace(question, deadline_ns=self.deadline_ns, has_deadline=True) if self.deadline_ns else None
+        deadline_ns = question.deadline_ns or self.deadline_ns
+        return replace(question, deadline_ns=deadline_ns) if deadline_ns else None
 
     @property
     def duration_s(self) -> float:

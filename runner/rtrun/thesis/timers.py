@@ -1,5 +1,7 @@
 """Examiners of the claims on the one-shot and the cyclic timer (thesis sections 4.1.2 and 4.2.2)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from rtfiles.quantities import time
@@ -10,7 +12,7 @@ from rtrun.judgement.digest import Digest
 from rtrun.judgement.groups import Group
 from rtrun.judgement.study import Study
 from rtrun.kinds import cyclic, oneshot
-from rtrun.plan.question import NONE_TOLERATED, Question
+from rtrun.plan.question import NONE_TOLERATED, THESIS
 from rtrun.plan.short_names import format_parameters
 from rtrun.plan.suites import is_real_time
 from rtrun.thesis.examination import (
@@ -29,7 +31,7 @@ from rtrun.thesis.examination import (
 
 ONESHOT, CYCLIC = oneshot.KIND, cyclic.KIND
 _MS = 1_000_000
-_DEADLINE_NS = 400_000
+_DEADLINE_NS = THESIS.limit_ns
 
 
 def oneshot_sub_millisecond(study: Study) -> ClaimResult:
@@ -251,7 +253,7 @@ def _pooled(study: Study, groups: list[Group]) -> tuple[int, float, float, int, 
     if study.question.deadline_ns == _DEADLINE_NS and study.question.tolerance == NONE_TOLERATED:
         runs = [run for group in groups if group.account for run in group.account.runs]
         if runs:
-            verdict = judge(Account(runs), Question(confidence=study.question.confidence))
+            verdict = judge(Account(runs), replace(THESIS, confidence=study.question.confidence))
             startups = [group.verdict.startup for group in groups if group.verdict and group.verdict.startup]
             late = sum(startup.late for startup in startups)
             apart = f"; start-ups left out, {late} late in them" if startups else ""

@@ -14,7 +14,7 @@ from rtrun.analysis.chance.intervals import anytime_interval
 from rtrun.analysis.deadline import Answer, Verdict, judge
 from rtrun.analysis.histogram import Histogram, from_samples
 from rtrun.analysis.trials import Trials, count_misses, count_misses_in_histogram
-from rtrun.plan.question import Question, Tolerance
+from rtrun.plan.question import THESIS, Question, Tolerance
 
 DEADLINE = 400_000
 
@@ -129,7 +129,7 @@ def test_few_boots_take_more_without_a_miss(boots: int, enough: int) -> None:
 
     proven, short = measured(enough), measured(math.floor(0.98 * enough))
     assert (proven.answer, short.answer) == (Answer.PROVEN, Answer.NEEDS_MORE)
-    planned = plan_measurements(Question(probability=1e-3, bursts=1, boots=boots))
+    planned = plan_measurements(replace(THESIS, probability=1e-3, bursts=1, boots=boots))
     assert planned == (True, short.n + short.further) and short.n < planned[1] <= proven.n
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from rtrun.analysis.trials import count_misses
 from rtrun.execution.goal import TRIES, Findings, rounds, runs_left, standings_of, stopped_by_time
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.goal import Goal
-from rtrun.plan.question import Question
+from rtrun.plan.question import THESIS
 from rtrun.plan.rounds import plan_round
 
 DEADLINE_NS = 400_000
@@ -67,7 +68,7 @@ class Board:
             names = [name for name in self.trials if name.split("-r")[0] == group.name]
             trials = [self._place(name) for name in names]
             if names:
-                question = Question(probability=1e-3, boots=self.wanted.boots, bursts=self.wanted.bursts)
+                question = replace(THESIS, probability=1e-3, boots=self.wanted.boots, bursts=self.wanted.bursts)
                 period_ns = group.period_ns if self.tells_period else None
                 verdict = judge(Account(trials, emulated=self.emulated, period_ns=period_ns), question)
                 standings.append(
@@ -211,7 +212,7 @@ def test_no_number_of_runs_is_planned_for_a_group_that_changes():
 
     def runs_left_of(values):
         trials = [count_misses(values.astype(np.int64), DEADLINE_NS)]
-        verdict = judge(Account(trials), Question())
+        verdict = judge(Account(trials), THESIS)
         standing = Standing(label="", runs=(group.name,), verdict=verdict, undecidable="", measured_s=0.0)
         return verdict.change, runs_left(group, standing, NEEDED[2], 2)
 
@@ -256,7 +257,7 @@ def test_a_group_that_observes_needs_an_answer_of_each_stream_with_a_deadline():
             runs=(f"{stream}-{number}",),
             observed_by=(group.name if number == 1 else f"{group.name}-r{number}",),
             stream=stream,
-            verdict=judge(Account([count_misses(values, DEADLINE_NS)]), Question(probability=0.05))
+            verdict=judge(Account([count_misses(values, DEADLINE_NS)]), replace(THESIS, probability=0.05))
             if has_deadline
             else None,
             undecidable=None,

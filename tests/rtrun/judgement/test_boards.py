@@ -1,6 +1,7 @@
 """Answers of several boards: pooled where they are alike, told apart where they are not."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from report.campaigns import latencies, oneshot_run
@@ -11,10 +12,10 @@ from rtrun.execution.goal import standings_of
 from rtrun.judgement.standings import standings
 from rtrun.judgement.study import study
 from rtrun.plan.campaign import Campaign, plan
-from rtrun.plan.question import Question
+from rtrun.plan.question import THESIS
 
 TARGET = {"kernel_release": "6.1.0-rt", "kernel_version": "#1 SMP PREEMPT_RT", "cpus": 2, "governor": "performance"}
-QUESTION = Question(probability=1e-3, bursts=1)
+QUESTION = replace(THESIS, probability=1e-3, bursts=1)
 WORDS = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95", "--bursts", "1"]
 
 

@@ -7,7 +7,7 @@ from written import write_output, write_record
 from rtrun.analysis.comparison.layers import LATE
 from rtrun.judgement.influence import influences
 from rtrun.judgement.study import study
-from rtrun.plan.question import Question
+from rtrun.plan.question import THESIS
 from rtrun.plan.topology.others import BUSY_NS, beside, read_other_nodes
 from rtrun.plan.topology.topology import Executor, Topology, TopologyNode, TopologyTopic, Waits
 from rtrun.report.influence import table
@@ -47,7 +47,7 @@ def write(root, *, in_turn=True):
 
 
 def test_what_was_planted_is_found_with_its_interval(tmp_path):
-    found = influences(study(write(tmp_path / "runs"), Question(), bounds=False))
+    found = influences(study(write(tmp_path / "runs"), THESIS, bounds=False))
     assert sorted((one.other_nodes, str(one.beside.parameters["sink"])) for one in found) == [
         ("1 idle", "/c"),
         ("1 idle", "/d"),
@@ -72,7 +72,7 @@ def test_what_was_planted_is_found_with_its_interval(tmp_path):
 
 
 def test_runs_that_were_not_in_turn_say_nothing(tmp_path):
-    found = influences(study(write(tmp_path / "runs", in_turn=False), Question(), bounds=False))
+    found = influences(study(write(tmp_path / "runs", in_turn=False), THESIS, bounds=False))
     assert not any(one.attribution.added for one in found)
     assert "not measured in turn" in table(found, 0.95).notes[-1]
 

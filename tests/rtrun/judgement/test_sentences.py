@@ -12,10 +12,10 @@ from rtrun.analysis.dependence.episodes import find_episodes
 from rtrun.analysis.order.stationarity import Change
 from rtrun.analysis.trials import Trials, count_misses
 from rtrun.judgement.verdicts import scope_in_short, sentences
-from rtrun.plan.question import NONE_TOLERATED, Question, Tolerance, boots_for, read_tolerance, unlike_share
+from rtrun.plan.question import NONE_TOLERATED, THESIS, Tolerance, boots_for, read_tolerance, unlike_share
 from rtrun.report.compare import _ratio
 
-QUESTION = Question(probability=1e-3, bursts=1)
+QUESTION = replace(THESIS, probability=1e-3, bursts=1)
 PERIOD_NS = 1e6
 
 
@@ -168,7 +168,7 @@ def test_a_share_of_boots_and_their_number_are_inverse():
 
 def test_one_miss_more_in_a_burst_changes_little():
     """Bursts are counted, not misses: there is no cliff at 20 misses."""
-    question = Question(probability=1e-4)
+    question = replace(THESIS, probability=1e-4)
     missing = [
         judge(Account(trials(100_000, *range(50_000, 50_000 + size))), question).further for size in (19, 20, 21)
     ]

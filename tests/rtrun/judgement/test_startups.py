@@ -1,6 +1,7 @@
 """A start-up is left out of the verdict of each kind of run, and reported wherever that is."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,10 @@ from report.campaigns import latencies, message_run, oneshot_run
 from rtrun.analysis.deadline import Answer
 from rtrun.cli import main
 from rtrun.judgement.study import study
-from rtrun.plan.question import Question, read_tolerance
+from rtrun.plan.question import THESIS, read_tolerance
 from rtrun.results import reading
 
-QUESTION = Question(probability=1e-3, bursts=1)
+QUESTION = replace(THESIS, probability=1e-3, bursts=1)
 WORDS = ["--deadline", "400us", "--probability", "1e-3", "--confidence", "0.95"]
 N, LATE = 8000, 10
 
@@ -90,7 +91,7 @@ def test_runs_without_one_have_none(tmp_path):
 
 def test_windows_begin_after_it(tmp_path):
     write(tmp_path, 3)
-    question = Question(probability=0.05, tolerance=read_tolerance("3 of 10"))
+    question = replace(THESIS, probability=0.05, tolerance=read_tolerance("3 of 10"))
     (group,) = study(tmp_path, question).groups
     loops = group.verdict.startup.loops
     assert group.verdict.n == 3 * (N - loops - 9) and group.verdict.misses == 0 and group.verdict.startup.late == 30

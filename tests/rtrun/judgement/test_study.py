@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,12 +22,12 @@ from rtrun.analysis.deadline import Answer
 from rtrun.analysis.figures import IndexedValue
 from rtrun.judgement.study import study
 from rtrun.judgement.verdicts import verdict_line
-from rtrun.plan.question import Question, read_tolerance
+from rtrun.plan.question import THESIS, read_tolerance
 from rtrun.targets.inspection.platform import Platform
 
 
 def only(path, **question):
-    (group,) = study(path, Question(**question)).groups
+    (group,) = study(path, replace(THESIS, **question)).groups
     return group
 
 
@@ -46,7 +47,7 @@ def test_runs_alike_are_one_group(tmp_path):
 def test_runs_on_another_board_or_kernel_are_another_group(tmp_path, other):
     oneshot_run(tmp_path, "a", latencies(1000, 1), logs=True)
     oneshot_run(tmp_path, "b", latencies(1000, 2), target=other, logs=True)
-    assert [group.n for group in study(tmp_path).groups] == [1000, 1000]
+    assert [group.n for group in study(tmp_path, THESIS).groups] == [1000, 1000]
 
 
 def test_enough_measurements_prove_a_deadline(tmp_path):
@@ -97,7 +98,7 @@ def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
     lateness = latencies(4000, 1)
     lateness[::8] -= 900_000
     cyclic_run(tmp_path, "a", lateness)
-    analysed = study(tmp_path, Question(of="jitter"))
+    analysed = study(tmp_path, replace(THESIS, of="jitter"))
     (jitter,) = analysed.digests
     grid = next(one for one in analysed.others if one.header.series == "grid")
     assert jitter.cluster is not None and jitter.cluster.fraction == pytest.approx(1 / 8, abs=0.002)
@@ -110,7 +111,7 @@ CYCLIC = {"policy": "RR", "frequency_hz": 100}
 
 
 def asked(path, **question):
-    (group,) = study(path, Question(**question)).groups
+    (group,) = study(path, replace(THESIS, **question)).groups
     return group
 
 
@@ -124,7 +125,7 @@ def test_ten_late_calls_in_a_row_are_ten_misses_of_the_grid(tmp_path):
     assert by_jitter.verdict.misses <= 2
     assert "P(lateness > 400 us) " in verdict_line(by_grid).text
     assert "P(jitter > 400 us) " in verdict_line(by_jitter).text
-    assert [group.series for group in study(tmp_path).as_in_2014] == ["jitter"]
+    assert [group.series for group in study(tmp_path, THESIS).as_in_2014] == ["jitter"]
     # Nine of the ten follow on a miss, eight on two: those end more than 1 and more than 2 in a row.
     for tolerance, misses in (("1 in a row", 9), ("2 in a row", 8), ("10 in a row", 0), ("4 of 100", 5 + 95 - 4 + 5)):
         group = asked(tmp_path, tolerance=read_tolerance(tolerance))
@@ -136,7 +137,7 @@ def test_the_jitter_of_a_log_is_not_pooled_with_the_lateness_of_samples(tmp_path
     values = latencies(500, 1)
     cyclic_run(tmp_path, "new", values)
     write_log_alone(tmp_path, "2014", "cyclic_timer_tests", cyclic_rows(values, 100), CYCLIC, asked=500)
-    groups = study(tmp_path).groups
+    groups = study(tmp_path, THESIS).groups
     assert {(group.series, group.runs) for group in groups} == {("lateness", ("new",)), ("jitter", ("2014",))}
 
 
@@ -164,10 +165,10 @@ def test_no_answer_rests_on_a_grid_that_jumped_with_the_clock(tmp_path):
 def test_a_question_of_what_was_not_measured_is_refused(tmp_path):
     oneshot_run(tmp_path / "both", "a", latencies(500, 1), logs=True)
     with pytest.raises(UsageError, match=r"both: oneshot_timer_tests measures latency, not jitter$"):
-        study(tmp_path / "both", Question(of="jitter"))
+        study(tmp_path / "both", replace(THESIS, of="jitter"))
     assert asked(tmp_path / "both", of="lateness").verdict.question.of == "latency"
     cyclic_run(tmp_path / "both", "b", latencies(500, 1))
-    analysed = study(tmp_path / "both", Question(of="jitter"))
+    analysed = study(tmp_path / "both", replace(THESIS, of="jitter"))
     assert [group.series for group in analysed.groups] == ["jitter"]
     (text,) = analysed.left_out
     assert text.endswith("oneshot_timer_tests measures latency, not jitter")
@@ -181,7 +182,7 @@ def test_five_subscribers_are_one_group_whose_messages_count_once(tmp_path):
 
 
 def test_an_emulated_board_gets_no_verdict_and_no_worst_case(emulated):
-    analysed = study(emulated)
+    analysed = study(emulated, THESIS)
     assert analysed.platform is Platform.EMULATED
     assert {verdict_line(group).answer for group in analysed.groups} == {Answer.NO_STATEMENT}
     assert all(not group.bounds and group.no_bound == "measured on an emulated board" for group in analysed.groups)
@@ -194,7 +195,7 @@ def test_what_cannot_be_analysed_is_told_and_the_rest_is(tmp_path):
     data = next(cut.glob("*.npy"))
     data.write_bytes(data.read_bytes()[:-8])
     (tmp_path / "open").mkdir()
-    analysed = study(tmp_path)
+    analysed = study(tmp_path, THESIS)
     assert [group.runs for group in analysed.groups] == [("good",)]
     left_out = "\n".join(analysed.left_out)
     assert "failed: failed: the board rebooted" in left_out
@@ -236,10 +237,10 @@ def test_all_missing_is_a_miss_each_time(tmp_path):
 def test_nothing_to_examine_is_an_error(tmp_path):
     for path, message in ((tmp_path / "none", "no such file"), (tmp_path, "no finished run")):
         with pytest.raises(UsageError, match=message):
-            study(path)
+            study(path, THESIS)
     (tmp_path / "x.txt").write_text("x")
     with pytest.raises(UsageError, match="not a run directory, a folder of runs"):
-        study(tmp_path / "x.txt")
+        study(tmp_path / "x.txt", THESIS)
 
 
 def test_a_record_with_names_that_leave_the_folder_is_refused(tmp_path):
@@ -247,5 +248,5 @@ def test_a_record_with_names_that_leave_the_folder_is_refused(tmp_path):
     oneshot_run(tmp_path, "b", latencies(100, 1), logs=True)
     record = json.loads((folder / "run.json").read_text())
     (folder / "run.json").write_text(json.dumps(record | {"outputs": ["../b/x"]}))
-    analysed = study(tmp_path)
+    analysed = study(tmp_path, THESIS)
     assert len(analysed.groups) == 1 and "no name of a file" in analysed.left_out[0]

@@ -9,7 +9,7 @@ from report.campaigns import latencies, oneshot_run
 from rtfiles.quantities import time
 from rtrun.judgement.compare import Compared, compare_sets
 from rtrun.judgement.study import study
-from rtrun.plan.question import Question
+from rtrun.plan.question import THESIS
 from rtrun.report.compare import as_text
 from rtrun.report.contents import contents
 from rtrun.results.series import NOTE_2014
@@ -37,7 +37,7 @@ def write_oneshot_of_2014(root: Path, mean_us: float) -> None:
 
 
 def compared(a: Path, b: Path) -> Compared:
-    return compare_sets(a, b, Question(), margin_ns=None)
+    return compare_sets(a, b, THESIS, margin_ns=None)
 
 
 def claim_of(claims: tuple[Examined, ...], name: str) -> Examined:
@@ -46,7 +46,7 @@ def claim_of(claims: tuple[Examined, ...], name: str) -> Examined:
 
 def test_ours_is_judged_and_that_of_2014_is_compared_with_what_was_published(tmp_path: Path) -> None:
     write_oneshot(tmp_path)
-    analysed = study(tmp_path)
+    analysed = study(tmp_path, THESIS)
     (judged,), (of_2014,) = analysed.groups, analysed.groups_2014
     assert (judged.series, of_2014.series) == ("measured", "measured_2014")
     ours, theirs = judged.digests[0].figures.mean_ns, of_2014.digests[0].figures.mean_ns
@@ -64,14 +64,14 @@ def test_ours_is_judged_and_that_of_2014_is_compared_with_what_was_published(tmp
 def test_the_claim_on_accuracy_counts_from_the_armed_timer(tmp_path: Path) -> None:
     """Reported minus measured is 4 us from before arming, but 11 us from after it: more than was claimed."""
     write_oneshot(tmp_path, reported_off_ns=4000)
-    claims = examine_claims(study(tmp_path))
+    claims = examine_claims(study(tmp_path, THESIS))
     assert claim_of(claims, "oneshot-reported-accurate").result.finding == Finding.REFUTED
     assert "mean 11 us" in claim_of(claims, "oneshot-reported-accurate").result.numbers
 
 
 def test_results_of_2014_are_judged_by_what_they_have(tmp_path: Path) -> None:
     write_oneshot_of_2014(tmp_path, 91.0)
-    analysed = study(tmp_path)
+    analysed = study(tmp_path, THESIS)
     assert [group.series for group in analysed.groups] == ["measured_2014"]
     assert analysed.groups[0].verdict is not None
     assert "measured_2014" in analysed.groups[0].label

@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from traced import specimen, write_traced_run
 from rtrun.analysis.figures import figures_of_samples
 from rtrun.judgement.digest import pool_figures
 from rtrun.judgement.study import study
-from rtrun.plan.question import Question
+from rtrun.plan.question import THESIS
 from rtrun.report.contents import Contents, contents
 from rtrun.report.how import DATA, explanations
 from rtrun.report.page import html
@@ -29,7 +30,7 @@ def write(root: Path, **record) -> Path:
 
 
 def contents_of(root: Path, **question: float) -> Contents:
-    return contents(study(root, Question(**question)))
+    return contents(study(root, replace(THESIS, **question)))
 
 
 def texts(value: object) -> Iterator[str]:
@@ -76,7 +77,7 @@ def test_the_answer_is_a_sentence_and_the_next_step_follows_from_it(tmp_path, qu
 
 def test_claims_and_worst_cases_stand_in_a_report_where_they_are_answered(tmp_path):
     """These few values allow no bound. Where there is one, its table has what was refused, too."""
-    analysed = study(write(tmp_path))
+    analysed = study(write(tmp_path), THESIS)
     written = contents(analysed)
     assert "worst-case" not in {table.id for table in written.tables}
     assert not [text for text in texts(written) if re.search("[Cc]laims|extreme value", text)]
@@ -115,7 +116,7 @@ def test_a_proof_from_a_virtual_machine_says_what_it_is_for(tmp_path):
 
 
 def test_figures_of_several_runs_are_those_of_all_their_values(tmp_path):
-    (group,) = study(write(tmp_path)).groups
+    (group,) = study(write(tmp_path), THESIS).groups
     pooled, whole = pool_figures(group.digests), figures_of_samples(np.concatenate(LATENCIES_NS))
     assert (pooled.n, pooled.min_ns, pooled.max_ns) == (whole.n, whole.min_ns, whole.max_ns)
     assert pooled.mean_ns == pytest.approx(whole.mean_ns) and pooled.std_ns == pytest.approx(whole.std_ns)
@@ -157,7 +158,7 @@ def test_repeated_runs_are_reproduced_by_one_line_that_a_shell_takes(tmp_path: P
 @pytest.mark.parametrize(("lost", "text"), [(800, "80 % missing"), (5, "")])
 def test_a_worst_value_stands_beside_the_share_that_never_came(tmp_path, lost, text):
     message_run(tmp_path, "a", [latencies(1000, 3)], lost=tuple(range(100, 100 + lost)))
-    analysed = study(tmp_path, Question(probability=1e-2))
+    analysed = study(tmp_path, replace(THESIS, probability=1e-2))
     written = contents(analysed)
     page = html(analysed, written)
     (scenario,) = written.scenarios

@@ -180,7 +180,7 @@ def test_the_report_asks_nothing_without_a_deadline_and_says_how_it_was_made(tmp
     assert [mark.kind for mark in plot.marks] == ["steps"] and "deadline" not in plot.caption
     rows = {row[0]: row[1] for table in written.tables for row in table.rows}
     assert "--deadline" not in rows["examined"] and not {"None", "True"} & set(rows.values())
-    named = contents(study(tmp_path, Question(deadline_ns=400_000, is_deadline_stated=True)))
+    named = contents(study(tmp_path, Question(deadline_ns=400_000)))
     assert any("--deadline 400us" in row[1] for table in named.tables for row in table.rows)
 
 

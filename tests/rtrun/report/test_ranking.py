@@ -3,11 +3,12 @@
 from report.campaigns import latencies, message_run
 
 from rtrun.judgement.study import study
+from rtrun.plan.question import THESIS
 from rtrun.report.ranking import ranking
 
 
 def ranked(root):
-    return [row[:4] for row in ranking(study(root, bounds=False)).rows]
+    return [row[:4] for row in ranking(study(root, THESIS, bounds=False)).rows]
 
 
 def test_the_best_answer_comes_first_then_the_smallest_chance_of_a_late_message(tmp_path):

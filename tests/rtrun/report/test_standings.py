@@ -15,10 +15,10 @@ from rtrun.analysis.trials import count_misses
 from rtrun.execution.goal import Progress
 from rtrun.plan.campaign import Campaign, plan
 from rtrun.plan.goal import Goal
-from rtrun.plan.question import Question
+from rtrun.plan.question import THESIS
 from rtrun.report.standings import missing, progress_line, reasons, table
 
-QUESTION = Question(probability=1e-3, bursts=1)
+QUESTION = replace(THESIS, probability=1e-3, bursts=1)
 GOAL = Goal(deadline="400us", probability="1e-3", at_most="1h")
 (RUN,) = plan(Campaign(schema=1, name="test", runs=[{"suite": "cyclic_timer_tests"}]), "test")
 

@@ -8,7 +8,7 @@ from report.campaigns import NOT_FIRED, cyclic_run, latencies, message_run, ones
 
 from rtrun.analysis.comparison.differences import ComparisonAnswer
 from rtrun.judgement.study import study
-from rtrun.plan.question import Question
+from rtrun.plan.question import THESIS, Question
 from rtrun.results.importers.adopt import adopt
 from rtrun.targets.inspection.platform import Platform
 from rtrun.thesis import general
@@ -33,7 +33,7 @@ def with_values(values, *changes):
 
 def test_every_claim_has_an_answer_and_none_without_runs(tmp_path):
     message_run(tmp_path, "a", [latencies(50, 1)])
-    examined = examine_claims(study(tmp_path))
+    examined = examine_claims(study(tmp_path, THESIS))
     assert [claim.id for claim in examined] == IDS and len(IDS) == 19 and set(IDS) == set(EXAMINERS)
     for claim in examined:
         assert claim.result.runs or claim.result.finding == UNDECIDED

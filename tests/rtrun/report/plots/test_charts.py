@@ -4,6 +4,7 @@ import base64
 import re
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from report.campaigns import cyclic_rows, cyclic_run, latencies, message_run, on
 
 from rtrun.analysis.scale import Division, Scale
 from rtrun.judgement.study import study
-from rtrun.plan.question import Question
+from rtrun.plan.question import THESIS
 from rtrun.report.plots import axes
 from rtrun.report.plots.charts import plots
 from rtrun.report.plots.drawing import drawn
@@ -19,7 +20,7 @@ from rtrun.report.scenarios import scenarios
 
 
 def plots_of(root, **question):
-    (scenario,) = scenarios(study(root, Question(**question)))
+    (scenario,) = scenarios(study(root, replace(THESIS, **question)))
     return {plot.id: plot for plot in plots(scenario, probability=1e-6)}
 
 

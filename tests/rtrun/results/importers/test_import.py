@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from logs import LOGS_2014
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.judgement.study import study
-from rtrun.plan.question import Question
+from rtrun.plan.question import THESIS, Question
 from rtrun.results.gnuplot_log import read_log
 from rtrun.results.importers import counts
 from rtrun.results.importers.adopt import adopt
@@ -97,14 +98,14 @@ def test_timerlat_is_read_by_context(tmp_path):
     assert thread.values_ns.tolist() == [0, 10_000, 20_000]
     made = adopt(file, tmp_path / "out", platform=Platform.HARDWARE)
     assert [folder.name for folder, _ in made] == ["tl-interrupt", "tl-thread", "tl-user"]
-    assert [group.n for group in study(tmp_path / "out").groups] == [1999, 2001, 1999]
+    assert [group.n for group in study(tmp_path / "out", THESIS).groups] == [1999, 2001, 1999]
 
 
 def test_the_largest_value_decides_a_deadline_beyond_the_bins(tmp_path):
     file = tmp_path / "tl.txt"
     file.write_text(TIMERLAT)
     adopt(file, tmp_path / "out", platform=Platform.HARDWARE)
-    by_context = {g.parameters["context"]: g for g in study(tmp_path / "out").groups}
+    by_context = {g.parameters["context"]: g for g in study(tmp_path / "out", THESIS).groups}
     assert by_context["thread"].verdict is not None and by_context["thread"].verdict.late == 0
     by_context = {g.parameters["context"]: g for g in study(tmp_path / "out", Question(deadline_ns=100_000)).groups}
     assert by_context["thread"].verdict is None and "beyond" in str(by_context["thread"].undecidable)
@@ -119,7 +120,7 @@ def test_logs_of_2014_become_runs(tmp_path, log, capsys):
     assert main(["import", str(log), "--results", str(tmp_path / "out"), *HARDWARE]) == 0
     printed = capsys.readouterr().out
     assert "not known of " in printed and ": the samples" in printed
-    (group,) = study(tmp_path / "out").groups
+    (group,) = study(tmp_path / "out", THESIS).groups
     assert group.n + sum(len(one.header.startup) for one in group.digests) == int(read_log(log).count.sum())
 
 
@@ -207,7 +208,7 @@ def test_a_renamed_log_of_a_oneshot_timer_is_read_after_its_import(tmp_path):
     log = tmp_path / "kept.log"
     shutil.copy(LOGS_2014 / "oneshot_timer_tests_l200_tm1000-tnRTRR-measured.log", log)
     adopt(log, tmp_path / "out", platform=Platform.HARDWARE)
-    (group,) = study(tmp_path / "out").groups
+    (group,) = study(tmp_path / "out", THESIS).groups
     assert group.n == 200
 
 
@@ -215,7 +216,7 @@ def test_what_was_emulated_stays_so(tmp_path):
     file = tmp_path / "tl.txt"
     file.write_text(TIMERLAT)
     assert main(["import", str(file), "--results", str(tmp_path / "out"), "--platform", "emulated"]) == 0
-    assert study(tmp_path / "out").platform is Platform.EMULATED
+    assert study(tmp_path / "out", THESIS).platform is Platform.EMULATED
 
 
 def import_all(folder, *options):
@@ -233,7 +234,7 @@ def test_files_of_four_boards_are_four_scenarios_and_boots_are_counted(tmp_path,
         for day in (1, 2, 3):
             (tmp_path / f"board{board}_6.6.{board}_2026-11-0{day}.txt").write_text(VENDOR)
     assert import_all(tmp_path, "--names", "{board}_{kernel}_{start}.txt", "--boot", "b") == 0
-    groups = study(tmp_path / "out").groups
+    groups = study(tmp_path / "out", THESIS).groups
     assert sorted((group.boards, group.target) for group in groups) == [
         ((f"board{board}",), f"board{board}, 6.6.{board}") for board in range(4)
     ]
@@ -246,7 +247,7 @@ def test_unknown_boards_never_pool_and_pass_no_gate(tmp_path, capsys):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / f"{folder}.txt").write_text(VENDOR.replace("000002 \t", "000001 \t").replace("5  ", "4  "))
     assert import_all(tmp_path) == 0
-    analysed = study(tmp_path / "out", Question(probability=0.9))
+    analysed = study(tmp_path / "out", replace(THESIS, probability=0.9))
     assert len(analysed.groups) == 2 and not analysed.pooled
     question = ["--deadline", "400us", "--probability", "0.9", "--assume-independent", "--bursts", "1"]
     assert main(["gate", str(tmp_path / "out"), *question]) == 1
