@@ -26,6 +26,7 @@ from rtrun.plan.suites import ALLOCATIONS
 from rtrun.results.reading import Source, find_copies, find_source, read_series
 from rtrun.results.record import RunRecord, RunStatus, read_record, verify
 from rtrun.results.series import Series
+from rtrun.results.target_states import read_states
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -134,11 +135,16 @@ def _add_run(
                 notes.append(f"{record.run}: {series.header.output} is incomplete: {series.header.incomplete}")
             elif series.header.of is not None and not series.header.incomplete:
                 judged.append(series)
+    states = None
+    try:
+        states = read_states(folder, record) if "runs" in missing else None
+    except UsageError as error:  # it describes the board; the values do not depend on it
+        notes.append(f"{record.run}: {error}")
     for table in missing:
         rows = {
             "samples": lambda: sample_table(key, judged),
             "histograms": lambda: histogram_table(key, judged),
-            "runs": lambda: run_table(key, record, origin),
+            "runs": lambda: run_table(key, record, origin, states.before if states else None),
         }[table]()
         write_file(store, file_of(table, key), as_parquet(rows))
     return _AddedRun(is_new=bool(missing), notes=tuple(notes))

@@ -16,7 +16,7 @@ import pyarrow
 
 from rtrun.archive.files import PACK, RowRange, TableFile, damaged, name_of, opened, paths_of, places, read_files
 from rtrun.archive.notes import read_notes
-from rtrun.archive.runs import PACKED_MAX, PARTITIONED, RunRow, in_path, is_kept, read_runs
+from rtrun.archive.runs import LATER, PACKED_MAX, PARTITIONED, RunRow, in_path, is_kept, read_runs
 from rtrun.archive.stamps import as_stamp, next_stamp, read_stamp
 from rtrun.archive.store import Store, remove_files, write_file
 from rtrun.archive.tables import SCHEMAS, Table, as_parquet, file_of
@@ -137,11 +137,14 @@ def _read(store: Store, table: str, file: TableFile) -> Table:
     text = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
     fields = [(field.name, text if field.type == pyarrow.string() else field.type) for field in SCHEMAS[table]]
     partitioned = [name for name in PARTITIONED if table == "runs" and f"/{name}=" in file.path]
-    texts = [name for name, type_ in fields if type_ == text and name not in partitioned]
+    texts = [name for name, type_ in fields if type_ == text and name not in (*partitioned, *LATER)]
     with opened(store, file.path, footer=file.footer, dictionary=texts) as source:
         whole = source.read(use_threads=False)
         for name in partitioned:
             whole = whole.append_column(name, pyarrow.array([in_path(file.path, name)] * whole.num_rows))
+        for name in LATER if table == "runs" else ():
+            if name not in whole.column_names:
+                whole = whole.append_column(name, pyarrow.nulls(whole.num_rows, dict(fields)[name]))
         return whole.select([name for name, _ in fields]).cast(pyarrow.schema(fields))
 
 

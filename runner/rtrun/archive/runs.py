@@ -30,6 +30,9 @@ PACKED_MAX = 1 << 13
 _TEXT_BYTES_MAX = 1 << 28  # of all texts in a file: those of a run take some KB
 PARTITIONED = ("machine", "suite")  # in schema 1 they were only in the path, as machine=NAME/suite=NAME
 
+LATER = ("cpu", "command_line", "memory_kib")
+"""Columns that files of older versions lack: they are null there."""
+
 
 class RunRow(NamedTuple):
     """A run: what distinguishes it from others, and its circumstances; None where nothing is known.
@@ -55,11 +58,15 @@ class RunRow(NamedTuple):
     middleware_version: str | None
     governor: str | None
     clock_source: str | None
+    cpu: str | None
+    command_line: str | None
     off_rate: bool
     start_utc: datetime | None
     temperature_max_mc: float | None
     frequency_max_khz: float | None
     load_1min_max: float | None
+    cpus: float | None
+    memory_kib: float | None
 
     @property
     def boot(self) -> str:
@@ -143,20 +150,26 @@ def _rows(store: Store, path: str) -> list[RunRow]:
 
     partitioned = [name for name in PARTITIONED if f"/{name}=" in path]
     texts = [name for name in _TEXTS if name not in partitioned]
-    with opened(store, path, dictionary=texts) as file:
+    # pyarrow refuses the name of a column that is absent.
+    with opened(store, path, dictionary=[name for name in texts if name not in LATER]) as file:
         check_rows(file.metadata, PACKED_MAX if is_pack(path) else 1)
         _check_size(file)
-        in_file = [name for name in RunRow._fields if name not in partitioned]
-        if missing := {*in_file} - {*file.schema_arrow.names}:
+        there = {*file.schema_arrow.names}
+        absent = [name for name in LATER if name not in there]
+        in_file = [name for name in RunRow._fields if name not in (*partitioned, *absent)]
+        if missing := {*in_file} - there:
             raise ValueError(f"{min(missing)}: no such column")
         table = file.read(columns=in_file, use_threads=False)
-        columns = {name: _texts(table, name) for name in texts}
+        columns = {name: _texts(table, name) for name in texts if name not in absent}
+        columns |= {name: [None] * table.num_rows for name in absent}
         columns |= {name: [in_path(path, name)] * table.num_rows for name in partitioned}
         columns["off_rate"] = _as(pyarrow.bool_(), table["off_rate"]).to_pylist()
         if None in columns["off_rate"]:
             raise ValueError("off_rate: missing")
         columns["start_utc"] = list(_times(_as(pyarrow.timestamp("us"), table["start_utc"]).to_pylist()))
         for name in RunRow._fields[RunRow._fields.index("temperature_max_mc") :]:
+            if name in absent:
+                continue
             columns[name] = _as(pyarrow.float64(), table[name]).to_pylist()
             if any(value is not None and not np.isfinite(value) for value in columns[name]):
                 raise ValueError(f"{name}: no number")

@@ -26,7 +26,7 @@ from rtrun.plan.short_names import format_parameters
 from rtrun.plan.suites import telling_parameters
 from rtrun.results.record import FILE, RunRecord, moment
 from rtrun.results.series import HistogramSeries, SampleSeries, Series
-from rtrun.targets.inspection.facts import fact_text
+from rtrun.targets.inspection.facts import TargetState, fact_text, memory_kib, processor
 
 Table = Any  # pyarrow has no types
 _TEXTS = (
@@ -35,9 +35,10 @@ _TEXTS = (
 )
 _FACTS = (
     *("platform_evidence", "status", "reason", "boot_id", "address", "kernel_release", "kernel_version"),
-    *("architecture", "clock_source", "clock_event", "governor", "middleware_version", "setup"),
+    *("architecture", "cpu", "command_line", "clock_source", "clock_event", "governor", "middleware_version", "setup"),
     *("commit", "image", "packages", "record"),
 )
+COMMAND_LINE_MAX = 4096  # COMMAND_LINE_SIZE of most kernels
 _TARGET_FACTS = ("boot_id", "kernel_release", "kernel_version", "governor", "middleware_version", "setup")
 RUNS = pyarrow.schema(
     [
@@ -45,7 +46,7 @@ RUNS = pyarrow.schema(
         *((name, pyarrow.timestamp("us")) for name in ("start_utc", "end_utc")),
         *((name, pyarrow.bool_()) for name in ("preempt_rt", "off_rate")),
         *((name, pyarrow.int64()) for name in ("cpus", "clock_step_ns", "temperature_min_mc", "temperature_max_mc")),
-        *((name, pyarrow.int64()) for name in ("frequency_min_khz", "frequency_max_khz")),
+        *((name, pyarrow.int64()) for name in ("frequency_min_khz", "frequency_max_khz", "memory_kib")),
         *((name, pyarrow.float64()) for name in ("load_1min_min", "load_1min_max", "busy_percent")),
     ]
 )
@@ -84,8 +85,8 @@ def file_of(table: str, name: str) -> str:
     return f"{table}/{name}.parquet"
 
 
-def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
-    """The row of a run in the table of runs."""
+def run_table(key: str, record: RunRecord, origin: Origin, state: TargetState | None = None) -> Table:
+    """The row of a run in the table of runs; `state` is that of its target before it."""
     target, seen = record.target, record.in_effect
     ranges = {
         f"{name}_{end}{unit}": value
@@ -111,6 +112,9 @@ def run_table(key: str, record: RunRecord, origin: Origin) -> Table:
         **{name: fact_text(getattr(target, name)) for name in _TARGET_FACTS},
         "address": target.address,
         "architecture": fact_text(target.machine),
+        "cpu": state and processor(state),
+        "command_line": (state and (fact_text(state.cmdline) or "")[:COMMAND_LINE_MAX]) or None,
+        "memory_kib": state and memory_kib(state),
         "clock_source": fact_text(target.clock.source if target.clock else target.clocksource),
         "clock_event": fact_text(target.clock.event if target.clock else None),
         "commit": origin.commit,

@@ -4,21 +4,17 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
-from rtfiles.config import Config, read_json
 from rtrun.analysis.order.coincidence import LEAST_INTERVALS, Floats, find_coincidences
 from rtrun.causes.measured import Measured, read_measured
 from rtrun.kinds.lateness import Measure
 from rtrun.kinds.values import Int64s
 from rtrun.results.record import RunRecord, check_file
-from rtrun.targets.inspection.facts import TargetState
+from rtrun.results.target_states import read_states
 from rtrun.validity.observations import COUNTS_MAX, SAMPLER_OUTPUT, Observation, observations_of
 
-STATES = "target.json"
 # The ticks in the first line of /proc/stat, by their place (proc(5)).
 _TICKS = {
     0: "user time", 1: "time at low priority", 2: "kernel time", 4: "waiting for disks",
@@ -41,15 +37,6 @@ class Unusual:
     otherwise: float
     p_value: float
     tried: int
-
-
-class _States(Config):
-    """target.json; its two times since the boot bound the times of the samples."""
-
-    schema_number: Literal[1] = Field(alias="schema")
-    before: TargetState
-    after: TargetState
-    own_service: bool
 
 
 def find_unusual(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Unusual]:
@@ -83,10 +70,9 @@ def find_unusual(folder: Path, record: RunRecord, of: Measure | None = None) -> 
 
 def _bounds_s(folder: Path, record: RunRecord) -> tuple[float, float] | None:
     """The times since the boot before and after the run; None if they are not known."""
-    if STATES not in record.files:
+    states = read_states(folder, record)
+    if states is None:
         return None
-    check_file(folder, record, STATES)
-    states = read_json(folder / STATES, _States)
     before_s, after_s = states.before.uptime, states.after.uptime
     return None if before_s is None or after_s is None else (before_s, after_s)
 

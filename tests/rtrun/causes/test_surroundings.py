@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from report.campaigns import cyclic_rows, latencies, write_run
+from written import close
 
 from rtfiles.errors import UsageError
 from rtrun.causes.surroundings import find_unusual
@@ -40,17 +41,6 @@ def write_sampled(root, *, clocks_apart_s=0.0, planted="24:eth0", outlying=True)
     (folder / "target.json").write_text(json.dumps({"schema": 1, **states, "own_service": True}))
     close(folder, "sampler.stdout", "target.json")
     return folder
-
-
-def close(folder, *names):
-    """Have the files in the record as they are."""
-    import hashlib
-
-    record = json.loads((folder / "run.json").read_text())
-    for name in names:
-        content = (folder / name).read_bytes()
-        record["files"][name] = {"size_bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-    (folder / "run.json").write_text(json.dumps(record))
 
 
 def unusual(folder):

@@ -54,6 +54,10 @@ BUILT_WITH_MAX, BUILT_WITH_CHARACTERS = 32, 200
 _NAME = re.compile("[a-z][a-z0-9_]{0,63}")
 # Sections of state.sh kept as one text. Every other section is one value, or a list if it has several lines.
 _TEXTS = ("cpuinfo", "memory", "os_release")
+# Lines of /proc/cpuinfo that name a board (ARM) or a processor.
+_MODELS = ("Model", "Hardware", "model name")
+NAME_MAX = 100
+_MEMORY = re.compile(r"^MemTotal:[ \t]*([0-9]{1,15}) kB$", re.ASCII | re.MULTILINE)
 
 Fact = str | list[str] | None
 """What the target reports about itself: a list if there are several values, such as the governor of each CPU."""
@@ -318,6 +322,19 @@ def _thread(line: str) -> RtThread | None:
         )
     except ValueError:
         return None
+
+
+def processor(state: TargetState) -> str | None:
+    """The model of the board and of its processor, as /proc/cpuinfo names them; None if it names neither."""
+    lines = [line.partition(":") for line in (state.cpuinfo or "").splitlines()]
+    named = {key.strip(): value.strip()[:NAME_MAX] for key, _, value in lines if key.strip() in _MODELS}
+    return ", ".join(dict.fromkeys(named[key] for key in _MODELS if named.get(key))) or None
+
+
+def memory_kib(state: TargetState) -> int | None:
+    """The memory that the kernel has, in KiB; None if it is not known."""
+    found = _MEMORY.search(state.memory or "")
+    return int(found[1]) if found else None
 
 
 def is_preempt_rt(state: TargetState) -> bool:
