@@ -30,7 +30,7 @@ def gate_against(
     results: Path,
     archive: Store,
     *,
-    deadline_ns: int,
+    deadline_ns: int | None,
     of: Measure | None = None,
     margin_ns: float | None,
     false_alarms: float,
@@ -102,7 +102,9 @@ def _case(
 ) -> Case:
     since = f" since its level was accepted from {accepted.begin:%Y-%m-%d} on: {accepted.words}" if accepted else ""
     boots = 0 if history is None else len(history.boots())
-    n, misses = (sum(numbers) for numbers in zip(*build.misses(), strict=True))
+    n = sum(run.point.n for run in build.runs)
+    known = [run.point.misses for run in build.runs if run.point.misses is not None]
+    misses = sum(known) if len(known) == len(build.runs) else None
     worst_ns = max((run.point.max_ns for run in build.runs if run.point.max_ns is not None), default=None)
     case = partial(Case, about=build.label, n=n, misses=misses, worst_ns=worst_ns)
     shared = [

@@ -11,7 +11,7 @@ from rtrun.archive.against import LEAST_MARGIN_NS, SHARE_OF_MARGIN
 from rtrun.archive.courses import Course
 from rtrun.archive.fleet import BoardHealth, ScenarioHealth
 from rtrun.archive.notes import Notes
-from rtrun.archive.states import LEAST_BOOTS
+from rtrun.archive.states import HISTORY
 from rtrun.archive.trends import NOTHING_KNOWN, Trend, as_text
 from rtrun.judgement.gate import Gate
 from rtrun.targets.labgrid.health import in_words, since
@@ -126,7 +126,7 @@ def board_alarms(boards: Iterable[BoardHealth], notes: Notes) -> list[Alarm]:
             when = str(day) if day else "not known: its tag has no day"
             alarms.append(_of_board("quarantine", board, in_words(board.quarantine), when, board.quarantine, of_this))
         if board.is_new:
-            size = f"measured on {counted(board.boots, 'boot')}: changes are seen from {LEAST_BOOTS} boots on"
+            size = f"measured on {counted(board.boots, 'boot')}: {HISTORY}"
             alarms.append(_of_board("new", board, size, "its first run", "", known))
     return alarms
 

@@ -145,11 +145,12 @@ def merged(bins: Sequence[Bins]) -> Bins:
     return value[starts], width[starts], np.add.reduceat(count, starts) if starts.size else count
 
 
-def figures_of_bins(bins: Sequence[Bins], deadline_ns: int) -> Mapping[str, Any]:
+def figures_of_bins(bins: Sequence[Bins], deadline_ns: int | None) -> Mapping[str, Any]:
     """n, misses, unclear, percentiles_ns and max_ns of a Point, from the bins of its runs."""
     value, width, count = joined(bins)
-    late = are_late(value, deadline_ns, width)
-    close = late & ~are_late(value, deadline_ns)
+    late_above_ns = TIME_MAX_NS if deadline_ns is None else deadline_ns
+    late = are_late(value, late_above_ns, width)
+    close = late & ~are_late(value, late_above_ns)
     limit_ns: int | None = None  # at and above this, values are only counted
     added = value, width, count
     if value.size and NONE in (value.min(), width.min()):
@@ -169,9 +170,10 @@ def figures_of_bins(bins: Sequence[Bins], deadline_ns: int) -> Mapping[str, Any]
             each if limit_ns is None or each < limit_ns else None for each in (*at_ranks, int(values[-1]))
         )
         percentiles_ns = dict(zip(PERCENTILES, at_percentiles, strict=True))
+    is_known = deadline_ns is not None and (limit_ns is None or limit_ns >= deadline_ns)
     return {
         "n": int(count.sum()),
-        "misses": int(count[late].sum()) if limit_ns is None or limit_ns >= deadline_ns else None,
+        "misses": int(count[late].sum()) if is_known else None,
         "unclear": int(count[close].sum()),
         "percentiles_ns": percentiles_ns,
         "max_ns": highest_ns,

@@ -12,7 +12,7 @@ from rtrun.report.tables import Table
 from rtrun.targets.inspection.platform import Platform
 
 
-def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
+def print_course(points: Sequence[Point], *, by: By, deadline_ns: int | None) -> None:
     """Print the points of one scenario, a row each."""
     from rtrun.report.terminal import print_banner
 
@@ -20,7 +20,8 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
     print_banner(Platform(points[0].platform))
     # The column that --by names comes first, and is not repeated among the others.
     leading = {"kernel": ("kernel", "board"), "board": ("board", "kernel")}.get(by, (by, "board", "kernel"))
-    columns = (*leading, "runs", "boots", "n", *points[0].times_ns, f"P(> {time(deadline_ns)})")
+    columns = (*leading, "runs", "boots", "n", *points[0].times_ns)
+    columns += (f"P(> {time(deadline_ns)})",) if deadline_ns else ()
     rows = []
     for point in points:
         names: dict[str, str] = {by: point.label, "board": point.machine, "kernel": point.kernel or "unknown"}
@@ -31,7 +32,7 @@ def print_course(points: Sequence[Point], *, by: By, deadline_ns: int) -> None:
                 str(point.boots),
                 grouped(point.n),
                 *map(time, point.times_ns.values()),
-                misses_text(point),
+                *([misses_text(point)] if deadline_ns else []),
             )
         )
     console().print(Table(columns=columns, rows=rows, numbers=range(len(leading), len(columns))))
@@ -44,7 +45,7 @@ def misses_text(point: Point) -> str:
     return f"{point.misses} of {grouped(point.n)}" if not point.misses else f"{point.p_miss:.2g} ({point.misses})"
 
 
-def as_data(points: Sequence[Point], *, by: By, deadline_ns: int) -> dict[str, Any]:
+def as_data(points: Sequence[Point], *, by: By, deadline_ns: int | None) -> dict[str, Any]:
     """The points as plain data: times in ns, percentiles by their number."""
     names = [field.name for field in fields(Point)]
     return {

@@ -32,7 +32,7 @@ _Sample = tuple[str, Mapping[str, str], float]
 """A metric, its labels and its value."""
 
 
-def open_metrics(courses: Sequence[Course], boards: Sequence[BoardHealth], *, deadline_ns: int) -> str:
+def open_metrics(courses: Sequence[Course], boards: Sequence[BoardHealth], *, deadline_ns: int | None) -> str:
     """The last run of every course, and the state of each board, in the text format of OpenMetrics 1.0.
 
     Times are in s; start times are seconds since 1970. Prometheus refuses a page in which two samples have the same
@@ -51,7 +51,7 @@ def open_metrics(courses: Sequence[Course], boards: Sequence[BoardHealth], *, de
     return "\n".join([*lines, "# EOF"]) + "\n"
 
 
-def _of_courses(courses: Sequence[Course], deadline_ns: int) -> Iterator[_Sample]:
+def _of_courses(courses: Sequence[Course], deadline_ns: int | None) -> Iterator[_Sample]:
     for course in courses:
         point = course.runs[-1].point
         labels = {name: getattr(course, name) for name in ("scenario", "machine", "platform")}
@@ -61,7 +61,7 @@ def _of_courses(courses: Sequence[Course], deadline_ns: int) -> Iterator[_Sample
                 yield "rtrun_value_seconds", {**labels, "percentile": name.removeprefix("p")}, value_ns / 1e9
         if point.max_ns is not None:
             yield "rtrun_highest_seconds", labels, point.max_ns / 1e9
-        if point.p_miss is not None:
+        if deadline_ns is not None and point.p_miss is not None:
             yield "rtrun_miss_ratio", {**labels, "deadline_seconds": f"{deadline_ns / 1e9:g}"}, point.p_miss
         yield "rtrun_measurements", labels, point.n
         if point.start_utc is not None:

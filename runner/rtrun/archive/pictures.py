@@ -19,7 +19,7 @@ _SPAN = 10.0  # ratio of the highest to the lowest value from which an axis is l
 _LIMIT_SPAN = 5.0  # a deadline beyond this many times the highest value would dominate the plot
 
 
-def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int) -> list[Plot]:
+def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int | None) -> list[Plot]:
     """Percentiles and the highest value over time, the share of misses if there are any, a line for each change."""
     points = [run.point for run in course.runs]
     seconds = np.array([_seconds(point.start_utc) for point in points])
@@ -28,13 +28,14 @@ def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int) -
     known = np.concatenate([each[np.isfinite(each)] for each in values.values()])
     plots = []
     if known.size:
-        shows_limit = bool(deadline_ns <= _LIMIT_SPAN * known.max())
+        shows_limit = deadline_ns is not None and bool(deadline_ns <= _LIMIT_SPAN * known.max())
         title = in_words(points[0].suite, points[0].series)
-        up = axes.times(title, _scale([*known, *[deadline_ns] * shows_limit]))
-        text = f"deadline {time(deadline_ns)}"
-        limit = ([along.scale.low, along.scale.high], [deadline_ns] * 2) if shows_limit else ([], [])
+        up = axes.times(title, _scale([*known, *([deadline_ns] if deadline_ns and shows_limit else [])]))
         marks = [_line(k, name, seconds, each) for k, (name, each) in zip(_COLOURS, values.items(), strict=True)]
-        marks.append(make_mark("limit", f"{text}{'' if shows_limit else ', above the top'}", *limit))
+        if deadline_ns is not None:
+            name = f"deadline {time(deadline_ns)}{'' if shows_limit else ', above the top'}"
+            limit = ([along.scale.low, along.scale.high], [deadline_ns] * 2) if shows_limit else ([], [])
+            marks.append(make_mark("limit", name, *limit))
         plots.append(
             Plot(
                 id="values",
@@ -44,7 +45,7 @@ def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int) -
                 marks=[*marks, *_changes([one for one in trends if one.figure != "P(miss)"], up)],
             )
         )
-    if any(point.p_miss for point in points):
+    if deadline_ns is not None and any(point.p_miss for point in points):
         shares = _numbers([point.p_miss for point in points])
         up = axes.shares("share of misses", 0.0, division=Division.LINEAR, high=float(np.nanmax(shares)) * 1.1)
         plots.append(

@@ -53,9 +53,9 @@ class Point:
 
     `scenario` names the series unless it is the usual one. `run_keys` are their names in the archive; `off_rate` counts
     further runs, left out because they missed the requested rate. `n` counts the requested values without the start-up;
-    `misses` are late or never came, None where a histogram does not reach up to the deadline. `unclear` of them lie in
-    the bin of the deadline and may have met it. A percentile or the highest value is None where it falls among values
-    that are only counted.
+    `misses` are late or never came, None without a deadline and where a histogram does not reach up to it. `unclear` of
+    them lie in the bin of the deadline and may have met it. A percentile or the highest value is None where it falls
+    among values that are only counted.
     """
 
     scenario: str
@@ -107,7 +107,7 @@ class _Group:
         return self.row.start_utc or _LATEST
 
 
-def figures(archive: Archive, by: By, *, deadline_ns: int, of: Measure | None = None) -> list[Point]:
+def figures(archive: Archive, by: By, *, deadline_ns: int | None, of: Measure | None = None) -> list[Point]:
     """The figures of every point, scenario by scenario; runs that are not ok are left out.
 
     `of` are the values that have the deadline; None: the first measure of each suite, where a run has it. Runs with
@@ -170,7 +170,7 @@ def _known(archive: Archive, group: _Group) -> Iterator[RunRow]:
 
 
 def _points(
-    archive: Archive, reader: BinReader, group: _Group, deadline_ns: int, of: Measure | None
+    archive: Archive, reader: BinReader, group: _Group, deadline_ns: int | None, of: Measure | None
 ) -> Iterator[Point]:
     of_series: dict[str, list[RunRow]] = {}
     bins: dict[str, list[Bins]] = {}
@@ -207,7 +207,7 @@ def _series_of(suite: str, names: tuple[str, ...], of: Measure | None) -> str | 
     return next((known[measure] for measure in wanted if measure in known), None)
 
 
-def _point(group: _Group, series: str, runs: Sequence[RunRow], bins: Sequence[Bins], deadline_ns: int) -> Point:
+def _point(group: _Group, series: str, runs: Sequence[RunRow], bins: Sequence[Bins], deadline_ns: int | None) -> Point:
     row, measure = runs[0], called(series)
     is_usual = measure is None or measure == measures(row.suite)[0]
     return Point(

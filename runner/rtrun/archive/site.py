@@ -4,21 +4,23 @@ Pages of the report and of the site share styles and plotting code.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from rtfiles import atomic
 from rtfiles.output import counted
 from rtfiles.quantities import grouped, time
+from rtrun.archive import NO_DEADLINE
 from rtrun.archive.alarms import BOARDS_PAGE, REASON_MAX
-from rtrun.archive.boards import board_rows, columns_of
+from rtrun.archive.boards import BoardRow, board_rows, columns_of
 from rtrun.archive.courses import Course
-from rtrun.archive.fleet import BoardHealth, ScenarioHealth
+from rtrun.archive.fleet import BoardHealth, ScenarioHealth, counts_in_words, reason_of
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
 from rtrun.archive.queries import SHOWN
-from rtrun.archive.states import SAID, CourseState, state_of
+from rtrun.archive.states import HISTORY, JUDGED_FROM, SAID, CourseState, state_of
 from rtrun.archive.trends import Trend, as_text, shown_time
 from rtrun.report.html_pages import script, templates
 from rtrun.report.plots.drawing import drawn
@@ -37,7 +39,7 @@ def write_site(
     boards: Sequence[BoardHealth],
     *,
     farm: str,
-    deadline_ns: int,
+    deadline_ns: int | None,
     confidence: float,
 ) -> list[Path]:
     """Write every file of the site into an existing folder; returns them, the front page first. Raises OSError.
@@ -53,23 +55,34 @@ def write_site(
     words = {
         # Readers of the pages need not know where the archive is stored.
         "archive": archive.rstrip("/").rpartition("/")[2],
-        "deadline": time(deadline_ns),
+        "deadline": deadline_ns and time(deadline_ns),
+        "ask": f"{NO_DEADLINE[0].upper()}{NO_DEADLINE[1:]}.",
         "percentiles": [f"p{percent:g}" for percent in SHOWN],
         "banner": banners.pop() if len(banners) == 1 else "",
         "banners": sorted(filter(None, banners)),
         "answer": _answer([card["state"] for card in cards]),
+        "boards": counts_in_words(boards),
+        "are_ill": any(board.is_ill for board in boards),
+        "history": f"{HISTORY[0].upper()}{HISTORY[1:]}.",
+        "written": shown_time(datetime.now(UTC)),
     }
     environment = templates(Path(__file__).parent)
     front, page, overview = (environment.get_template(f"{name}.html.j2") for name in ("site", "course", "boards"))
     rows = board_rows([(card["course"], card["state"]) for card in cards])
-    worse = sorted({row.board for row in rows if any(cell.state == "WORSE" for cell in row.cells.values())})
-    ill = [board.board for board in boards if board.is_ill]
+    worse = {row.board for row in rows if any(cell.state == "WORSE" for cell in row.cells.values())}
     health = [_health(board) for board in boards]
     failed = [_failed_row(board, each) for board in boards for each in board.failed]
     pages = {
-        "index.html": front.render(cards=cards, ill=ill, number=len(boards), failed=failed, **words),
+        "index.html": front.render(cards=cards, **words),
         BOARDS_PAGE: overview.render(
-            rows=rows, columns=columns_of(rows), worse=worse, ill=ill, health=health, failed=failed, farm=farm, **words
+            rows=rows,
+            columns=columns_of(rows),
+            worse=worse,
+            judged=_judged(rows, worse),
+            health=health,
+            failed=failed,
+            farm=farm,
+            **words,
         ),
     }
     drawing = script("plots.js")
@@ -84,37 +97,43 @@ def write_site(
 
 
 def _health(board: BoardHealth) -> dict[str, Any]:
-    """A board with everything to report about it, each with the class of its style, and when it was last seen."""
-    said = []
-    if board.quarantine:
-        said.append(("refuted", f"✗ QUARANTINE: {in_words(board.quarantine)}"))
-    if board.offline:
-        said.append(("refuted", f"✗ OFFLINE: {board.offline}"))
-    if board.failed:
-        said.append(("refuted", f"✗ FAILED: {len(board.failed)} of {counted(len(board.scenarios), 'scenario')}"))
+    """A board with everything to report about it, each state with the class of its style."""
+    texts = {
+        "QUARANTINE": ("refuted", f"✗ QUARANTINE: {in_words(board.quarantine or '')}"),
+        "OFFLINE": ("refuted", f"✗ OFFLINE: {board.offline}"),
+        "FAILED": ("refuted", f"✗ FAILED: {len(board.failed)} of {counted(len(board.scenarios), 'scenario')}"),
+        "NEW": ("more", f"? NEW: {counted(board.boots, 'boot')} of {JUDGED_FROM}"),
+        "MEASURING": ("proven", f"▶ MEASURING: {board.holder} holds it"),
+        "IDLE": ("proven", "✓ IDLE"),
+        "OK": ("proven", "✓ no run failed"),
+    }
+    said = [texts[word] for word in board.states]
     if board.failed_check:
         said.append(("more", f"? failed its last check: {in_words(board.failed_check)}"))
-    if board.is_new:
-        said.append(("more", f"? NEW: {counted(board.boots, 'boot')} measured"))
+    last = board.last_failed
     return {
         "board": board.board,
-        "said": said or [("proven", "✓ no run failed" if not board.in_farm else "✓ in order")],
-        "last_seen": shown_time(board.last_seen),
-        "last_run": shown_time(board.last_run),
+        "said": said,
+        "what": ", ".join(board.description),
+        "command_line": board.command_line,
+        "last_seen": shown_time(board.last_seen) if board.last_seen else "never",
+        "last_run": shown_time(board.last_run) if board.rows else "never",
+        "last_failed": last and f"{shown_time(last.start_utc)} {last.scenario}: {reason_of(last)[:REASON_MAX]}",
     }
 
 
-def _failed_row(board: BoardHealth, scenario: ScenarioHealth) -> tuple[str, ...]:
+def _failed_row(board: BoardHealth, scenario: ScenarioHealth) -> dict[str, str]:
+    """The cells of a scenario whose last run failed, by the heading of their column."""
     first, last = scenario.failures[0], scenario.last
-    return (
-        board.board,
-        last.scenario,
-        scenario.reason[:REASON_MAX],
-        shown_time(last.start_utc),
-        str(len(scenario.failures)),
-        shown_time(first.start_utc),
-        last.run,
-    )
+    return {
+        "board": board.board,
+        "scenario": last.scenario,
+        "why": scenario.reason[:REASON_MAX],
+        "last run, UTC": shown_time(last.start_utc),
+        "in a row": str(len(scenario.failures)),
+        "since, UTC": shown_time(first.start_utc),
+        "run": last.run,
+    }
 
 
 def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[str, Any]:
@@ -149,6 +168,20 @@ def _card(course: Course, trends: Sequence[Trend], confidence: float) -> dict[st
             for trend in sorted(trends, key=lambda trend: trend.change.index, reverse=True)
         ],
     }
+
+
+def _judged(rows: Sequence[BoardRow], worse: Collection[str]) -> str:
+    """How many boards got worse, and how many cannot be judged yet, in one sentence."""
+    known = {row.board for row in rows}
+    new = known - {row.board for row in rows for cell in row.cells.values() if cell.state not in ("", "NEW")}
+    said = []
+    if worse:
+        said.append(f"✗ Something got worse on {len(worse)} of {counted(len(known), 'board')}")
+    elif len(new) < len(known):
+        said.append("Nothing got worse")
+    if new:
+        said.append(f"{len(new)} of {counted(len(known), 'board')} too new to judge")
+    return "; ".join(said) or "Nothing is known yet"
 
 
 def _answer(states: Sequence[CourseState]) -> str:

@@ -3,17 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from rtrun.analysis.comparison.history import LEAST_BOOTS
 from rtrun.archive.courses import Course
 from rtrun.archive.trends import Trend
 
-LEAST_BOOTS = 6  # that a course needs to show changes
+JUDGED_FROM = LEAST_BOOTS + 1  # the first boot that is held against a history
+HISTORY = f"a history takes {LEAST_BOOTS} boots, and boot {JUDGED_FROM} is the first that is judged"
 SAID = {
     "WORSE": "got worse",
     "BETTER": "got better",
     "KNOWN": "got worse, which is known",
     "ACCEPTED": "got worse, which was accepted",
     "STEADY": "stayed as they were",
-    "NEW": f"are new: a change is seen from {LEAST_BOOTS} boots on",
+    "NEW": f"are too new to judge: {HISTORY}",
 }
 """The words for states, gravest first, and their meaning in a sentence."""
 
@@ -46,6 +48,6 @@ def state_of(course: Course, trends: Sequence[Trend]) -> CourseState:
         return CourseState(word="ACCEPTED", style="proven", mark="✓", figures=accepted)
     if last:
         return CourseState(word="BETTER", style="proven", mark="✓", figures=(*last,))
-    if len(course.boots()) < LEAST_BOOTS:
+    if len(course.boots()) < JUDGED_FROM:
         return CourseState(word="NEW", style="more", mark="?")
     return CourseState(word="STEADY", style="proven", mark="✓")

@@ -3,6 +3,7 @@
 import argparse
 from typing import TYPE_CHECKING
 
+from rtrun.archive import NO_DEADLINE
 from rtrun.commands._question import add_of, time_argument
 from rtrun.kinds.lateness import LATENESS
 
@@ -18,9 +19,14 @@ def add_archive(parser: argparse.ArgumentParser) -> None:
 
 
 def add_deadline(parser: argparse.ArgumentParser) -> None:
-    """The deadline, by default that of the thesis, and the series that it applies to."""
+    """The deadline, and the series that it applies to."""
     add_of(parser, LATENESS)
-    parser.add_argument("--deadline", type=time_argument, metavar="TIME", help="deadline with its unit [400us]")
+    parser.add_argument(
+        "--deadline",
+        type=time_argument,
+        metavar="TIME",
+        help="with its unit, as 1ms; misses of it count [none: quantiles alone]",
+    )
 
 
 def reach(address: str) -> "Store":
@@ -33,27 +39,25 @@ def reach(address: str) -> "Store":
     return open_archive(address)
 
 
-def read_courses(args: argparse.Namespace) -> "tuple[list[Course], int]":
-    """Read every course of the archive, and the deadline in ns that misses are counted against.
+def read_courses(args: argparse.Namespace) -> "list[Course]":
+    """Read every course of the archive. Raises as `read_whole` does."""
+    archive = read_whole(args)
+    from rtrun.archive.courses import courses
+
+    return courses(archive, deadline_ns=args.deadline, of=args.of)
+
+
+def read_whole(args: argparse.Namespace) -> "Archive":
+    """Read the archive; print a remark on runs that do not count, and on how to ask where no deadline is given.
 
     Raises UsageError as `check_extra`, `open_archive` and `read_archive` do, InfrastructureError.
     """
-    archive, deadline_ns = read_with_deadline(args)
-    from rtrun.archive.courses import courses
-
-    return courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns
-
-
-def read_with_deadline(args: argparse.Namespace) -> "tuple[Archive, int]":
-    """Read the archive, and the deadline in ns. Prints a remark on runs that do not count.
-
-    Raises as `read_courses` does.
-    """
     from rtfiles.output import counted, print_note
     from rtrun.archive.runs import read_archive
-    from rtrun.plan.question import THESIS
 
     archive = read_archive(reach(args.archive))
     for words, number in archive.ignored.items():
         print_note(f"rtrun: {counted(number, 'run')} ignored: {words}")
-    return archive, args.deadline or THESIS.limit_ns
+    if not args.deadline:
+        print_note(f"rtrun: {NO_DEADLINE}")
+    return archive

@@ -80,7 +80,7 @@ def add_confidence(parser: argparse.ArgumentParser) -> None:
 
 
 def question(args: argparse.Namespace, results: Path) -> Question:
-    """The question in the arguments; what they leave open comes from the campaign's goal, or else from `NO_DEADLINE`."""
+    """The question in the arguments; what they leave open comes from the campaign's goal, else from `NO_DEADLINE`."""
     from rtfiles.output import print_note
     from rtrun.results.goal_file import read_goal
 

@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
     text = sys.stdin.read() if args.order == Path("-") else read_text(args.order, max_bytes=1 << 26)
     order = list(dict.fromkeys(filter(None, map(str.strip, text.splitlines()))))
-    known, _ = read_courses(args)
+    known = read_courses(args)
     from rtrun.archive.bisection import find_suspects
 
     if not any(run.facts.get(args.by) in order for course in known for run in course.runs):

@@ -124,6 +124,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _against(args: argparse.Namespace) -> "Gate":
     from rtfiles.errors import UsageError
+    from rtfiles.output import print_note
     from rtrun.targets.inspection.platform import Platform
 
     limits = (args.max_page_faults, args.max_allocations)
@@ -134,14 +135,16 @@ def _against(args: argparse.Namespace) -> "Gate":
             "--max-allocations: go without --against"
         )
     archive = reach(args.against)
+    from rtrun.archive import NO_DEADLINE
     from rtrun.archive.against import gate_against
-    from rtrun.plan.question import THESIS
 
     asked = question(args, args.results)
+    if asked.deadline_ns is None:
+        print_note(f"rtrun: {NO_DEADLINE}")
     return gate_against(
         args.results,
         archive,
-        deadline_ns=asked.deadline_ns or THESIS.limit_ns,
+        deadline_ns=asked.deadline_ns,
         of=asked.of,
         margin_ns=args.margin,
         false_alarms=args.false_alarms or FALSE_ALARMS,

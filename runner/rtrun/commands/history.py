@@ -4,7 +4,7 @@ import argparse
 from typing import TYPE_CHECKING, get_args
 
 from rtrun.archive import By
-from rtrun.commands._archive import add_archive, add_deadline, read_with_deadline
+from rtrun.commands._archive import add_archive, add_deadline, read_whole
 from rtrun.commands._arguments import add_json
 
 if TYPE_CHECKING:
@@ -32,19 +32,19 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import print_json, print_line
 
-    archive, deadline_ns = read_with_deadline(args)
+    archive = read_whole(args)
     from rtrun.archive.history import as_data, print_course
     from rtrun.archive.queries import figures
 
-    points = figures(archive, args.by, deadline_ns=deadline_ns, of=args.of)
+    points = figures(archive, args.by, deadline_ns=args.deadline, of=args.of)
     if args.json:
-        print_json(as_data(points, by=args.by, deadline_ns=deadline_ns))
+        print_json(as_data(points, by=args.by, deadline_ns=args.deadline))
         return 0
 
     def course(point: "Point") -> tuple[str, str, str]:
         return point.scenario, point.parameters, point.platform
 
     for _, members in groupby(points, course):
-        print_course(list(members), by=args.by, deadline_ns=deadline_ns)
+        print_course(list(members), by=args.by, deadline_ns=args.deadline)
         print_line()
     return 0

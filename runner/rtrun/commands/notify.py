@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtrun.commands._archive import add_archive, add_deadline, read_with_deadline
+from rtrun.commands._archive import add_archive, add_deadline, read_whole
 from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_confidence
 
@@ -57,8 +57,8 @@ def run(args: argparse.Namespace) -> int:
     names = [each.name for each in config.receivers]
     if len({*names}) < len(names):
         raise UsageError(f"{args.receivers}: receivers: two of one name: what each was told is kept by its name")
-    archive, deadline_ns = read_with_deadline(args)
-    alarms = _worse(args, archive, courses(archive, deadline_ns=deadline_ns, of=args.of), deadline_ns)
+    archive = read_whole(args)
+    alarms = _worse(args, archive, courses(archive, deadline_ns=args.deadline, of=args.of))
     failures = []
     if not args.results:
         try:
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _worse(args: argparse.Namespace, archive: "Archive", known: "list[Course]", deadline_ns: int) -> "list[Alarm]":
+def _worse(args: argparse.Namespace, archive: "Archive", known: "list[Course]") -> "list[Alarm]":
     from rtrun.archive.alarms import worse_builds, worse_courses
 
     if args.results is None:
@@ -106,14 +106,18 @@ def _worse(args: argparse.Namespace, archive: "Archive", known: "list[Course]", 
         return worse_courses(trends(known, confidence=args.confidence), confidence=args.confidence)
     from rtrun.archive.against import gate_against
     from rtrun.commands.gate import FALSE_ALARMS
+    from rtrun.plan.question import NO_DEADLINE
+    from rtrun.results.goal_file import read_goal
     from rtrun.results.record import FILE
     from rtrun.targets.inspection.platform import Platform
 
+    goal = read_goal(args.results)
+    asked = goal.question if goal else NO_DEADLINE
     judged = gate_against(
         args.results,
         archive.store,
-        deadline_ns=deadline_ns,
-        of=args.of,
+        deadline_ns=args.deadline or asked.deadline_ns,
+        of=args.of or asked.of,
         margin_ns=None,
         false_alarms=FALSE_ALARMS,
         platform=Platform.VIRTUAL,

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtrun.commands._archive import add_archive, add_deadline, read_with_deadline
+from rtrun.commands._archive import add_archive, add_deadline, read_whole
 from rtrun.commands._arguments import add_json
 from rtrun.commands._question import add_confidence, argument
 from rtrun.targets.address import check_server
@@ -44,13 +44,13 @@ def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import InfrastructureError, UsageError
     from rtfiles.output import print_json, print_line
 
-    archive, deadline_ns = read_with_deadline(args)
+    archive = read_whole(args)
     from rtrun.archive.courses import courses
     from rtrun.archive.fleet import ask_farm, boards_of
     from rtrun.archive.site import write_site
     from rtrun.archive.trends import trends
 
-    known = courses(archive, deadline_ns=deadline_ns, of=args.of)
+    known = courses(archive, deadline_ns=args.deadline, of=args.of)
     farm, missing, failure = None, _NOT_ASKED, None
     if coordinator := args.coordinator or os.environ.get("LG_COORDINATOR"):
         try:
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         trends(known, confidence=args.confidence),
         boards_of(archive.runs, farm),
         farm=missing,
-        deadline_ns=deadline_ns,
+        deadline_ns=args.deadline,
         confidence=args.confidence,
     )
     if args.json:

@@ -25,12 +25,12 @@ def run(args: argparse.Namespace) -> int:
 
     from rtfiles.output import counted, print_json, print_line
 
-    known, deadline_ns = read_courses(args)
+    known = read_courses(args)
     from rtrun.archive.trends import as_data, as_text, trends
 
     shown = trends(known, confidence=args.confidence)
     if args.json:
-        data = {"schema": 1, "deadline_ns": deadline_ns, "changes": [as_data(trend) for trend in shown]}
+        data = {"schema": 1, "deadline_ns": args.deadline, "changes": [as_data(trend) for trend in shown]}
         print_json(data)
         return 0
     boots = len({run.boot for one in known for run in one.runs})

@@ -3,16 +3,19 @@
 import html
 import json
 import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 from archive.archived import write_course, write_failed
 from labgrid_farm import farm_of
+from report.campaigns import latencies, oneshot_run
+from written import close
 
 from ports import free_port
 from rtrun.archive.alarms import board_alarms
-from rtrun.archive.fleet import Farm, boards_of
+from rtrun.archive.fleet import Farm, boards_of, counts_in_words
 from rtrun.archive.notes import Notes
 from rtrun.archive.runs import read_archive
 from rtrun.archive.store import open_archive
@@ -21,7 +24,8 @@ from rtrun.targets.labgrid.coordinator import LabgridPlace, OfferedResource
 
 SCENARIO = "oneshot_timer RR 1000 us"
 DEAD = datetime(2026, 1, 17, 1, 30)
-DIED = "node died <b>\x1b[2J"
+ESCAPE = "\x1b"
+DIED = f"node died <b>{ESCAPE}[2J"
 
 
 @pytest.fixture
@@ -94,6 +98,9 @@ def test_what_the_farm_says(archive):
         ("board", True), ("dead", True), ("spare", True), ("young", False),
     ]  # fmt: skip
     quarantine = alarms_of(boards, "quarantine")
+    assert [board.states for board in boards] == [
+        ["QUARANTINE", "FAILED"], ["OFFLINE", "FAILED"], ["QUARANTINE", "NEW"], ["NEW"],
+    ]  # fmt: skip
     manual, checked = quarantine["board"], quarantine["spare"]
     assert manual.size == "fan broken" and "check" not in f"{manual.since}{manual.size}"
     assert manual.since == "not known: its tag has no day; last seen 2026-01-19 01:30 UTC"
@@ -103,6 +110,44 @@ def test_what_the_farm_says(archive):
     assert offline.about == "dead" and "the exporter bench ended" in offline.size
     assert "last seen 2026-01-08 11:00 UTC" in offline.since
     assert alarms_of(boards, "new").keys() == {"young", "spare"}
+
+
+def test_the_state_of_each_board_at_a_glance(archive):
+    """A board that somebody holds measures; one that failed in the past does not fail now, and its failure is told."""
+    write_course(archive, [100.0] * 22, machine="board")
+    places = [
+        replace(place("board", matches=("bench/board/*",)), holder="runner/rtlab"),
+        place("young", matches=("bench/young/*",)),
+    ]
+    runs = read_archive(open_archive(str(archive))).runs
+    boards = boards_of(runs, Farm(places=places, offered=[offers("board"), offers("young")]))
+    assert {board.board: board.states for board in boards} == {
+        "board": ["MEASURING"], "dead": ["FAILED"], "young": ["NEW", "IDLE"],
+    }  # fmt: skip
+    assert counts_in_words(boards) == "3 boards: 1 failed in the last run, 1 new, 1 measuring, 1 idle"
+    (board,) = (one for one in boards if one.board == "board")
+    assert not board.failed and board.last_failed.reason == DIED
+
+
+def test_a_board_is_described_by_its_last_run_that_knows(tmp_path):
+    """Its target.json names processor, memory and command line; a run that lacks it, or is damaged, changes nothing."""
+    cpuinfo = "processor\t: 0\nmodel name\t: ARMv7 Processor rev 10 (v7l)\n\nHardware\t: OMAP4 PandaBoard\n"
+    state = {"cpuinfo": cpuinfo, "memory": "MemTotal:        1011852 kB\nMemFree: 1 kB", "cmdline": "isolcpus=1 <b>"}
+    results, archive = tmp_path / "results", str(tmp_path / "archive")
+    for number, extra in enumerate(({"before": state, "after": {}, "own_service": False}, None, {"before": 7})):
+        start = f"2026-10-0{number + 1}T10:00:00Z"
+        folder = oneshot_run(results, f"{number}", latencies(100, number), start_time=start)
+        if extra:
+            (folder / "target.json").write_text(json.dumps({"schema": 1, **extra}))
+            close(folder, "target.json")
+    assert main(["archive", "add", str(results), "--to", archive, "--image", "rt-1"]) == 0
+    assert main(["archive", "compact", archive]) == 0
+    (board,) = boards_of(read_archive(open_archive(archive)).runs, None)
+    processor = "OMAP4 PandaBoard, ARMv7 Processor rev 10 (v7l)"
+    assert board.description == [processor, "2 CPUs", "988 MiB of memory", "kernel 6.1.0-rt", "image rt-1"]
+    assert board.command_line == "isolcpus=1 <b>" and len(board.rows) == 3
+    assert main(["site", archive, "--output", str(tmp_path / "pages")]) == 0
+    assert "<code>isolcpus=1 &lt;b&gt;</code>" in (tmp_path / "pages" / "boards.html").read_text()
 
 
 def test_offline_again_after_it_was_measured_is_told_again(archive):
@@ -142,17 +187,18 @@ def test_the_page_and_the_metrics_without_a_farm(capsys, archive, monkeypatch):
     monkeypatch.delenv("LG_COORDINATOR", raising=False)
     pages, _ = site(capsys, archive)
     page = (pages / "boards.html").read_text()
-    assert rows(page, "health") == [
-        ["board", "✗ FAILED: 1 of 1 scenario", "2026-01-19 01:30", "2026-01-19 01:30"],
-        ["dead", "✗ FAILED: 1 of 1 scenario", "2026-01-08 11:00", "2026-01-19 01:30"],
-        ["young", "? NEW: 2 boots measured", "2026-01-02 11:00", "2026-01-02 11:00"],
+    failed, last = "✗ FAILED: 1 of 1 scenario", f"2026-01-19 01:30 {SCENARIO}: failed"
+    assert [[cell.replace(ESCAPE, "?").replace("|b|", "<b>") for cell in row] for row in rows(page, "health")] == [
+        ["board| |kernel 6.1", failed, "2026-01-19 01:30", "2026-01-19 01:30", f"{last}: {DIED.replace(ESCAPE, '?')}"],
+        ["dead| |kernel 6.1", failed, "2026-01-08 11:00", "2026-01-19 01:30", f"{last}: no route to host"],
+        ["young| |kernel 6.1", "? NEW: 2 boots of 6", "2026-01-02 11:00", "2026-01-02 11:00", ""],
     ]
     assert [row[:2] + row[3:] for row in rows(page, "failed")] == [
         [name, SCENARIO, "2026-01-19 01:30", "3", "2026-01-17 01:30", "0130-oneshot"] for name in ("board", "dead")
     ]
     assert "failed: node died &lt;b&gt;" in page and "no labgrid coordinator was asked" in page
     front = (pages / "index.html").read_text()
-    assert "✗ 2 of 3 boards:" in front and "2 scenarios failed in the last run" in front
+    assert "3 boards: 2 failed in the last run, 1 new" in front and "idle</a>" not in front
     known = metrics(pages)
     of_board = f'{{scenario="{SCENARIO}",machine="%s",platform="hardware"}}'
     assert [known[f"rtrun_run_failed{of_board % name}"] for name in ("board", "dead", "young")] == ["1", "1", "0"]
@@ -196,8 +242,12 @@ def lab(tmp_path, archive):
 def test_a_real_farm_on_the_page_in_the_metrics_and_told(capsys, archive, lab, tmp_path):
     pages, _ = site(capsys, archive, "--coordinator", lab.coordinator)
     page = (pages / "boards.html").read_text()
-    states = {row[0]: row[1] for row in rows(page, "health")}
-    assert "QUARANTINE: fan broken" in states["board"] and "FAILED: 1 of 1" in states["board"]
+    states = {row[0].partition("|")[0]: row[1] for row in rows(page, "health")}
+    assert (
+        "IDLE" in states["young"]
+        and "QUARANTINE: fan broken" in states["board"]
+        and "FAILED: 1 of 1" in states["board"]
+    )
     assert "OFFLINE: nobody offers bench/dead/*" in states["dead"] and "no labgrid coordinator" not in page
     known = metrics(pages)
     for name, offline, quarantined in (("board", "0", "1"), ("dead", "1", "0"), ("young", "0", "0")):

@@ -121,7 +121,7 @@ def test_each_receiver_is_told_once_with_what_it_needs_to_know(capsys, lab):
         assert "WORSE  oneshot_timer RR 1000 us on board" in text and "suspected: kernel: 6.1 -> 6.6" in text
         assert alarm["link"] in text and "steady" not in text
     said = notify(capsys, lab)
-    assert said.endswith("\n1 thing wrong\n") and "was told" not in said and len(lab.posts) == len(lab.mails) == 1
+    assert "\n1 thing wrong\n" in said and "was told" not in said and len(lab.posts) == len(lab.mails) == 1
     # A day more of the same is nothing new; a further step is.
     write_course(lab.archive, [*WORSE, 120.0], facts=FACTS)
     notify(capsys, lab)

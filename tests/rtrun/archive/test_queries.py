@@ -19,6 +19,7 @@ from rtrun.analysis.figures import PERCENTILES
 from rtrun.archive import bins, queries
 from rtrun.cli import main
 from rtrun.judgement.study import study
+from rtrun.plan.question import THESIS
 
 STEP_NS = 16  # of the clock of the campaigns
 
@@ -29,7 +30,7 @@ def campaign(tmp_path_factory):
 
 
 def history(capsys, archive, *words):
-    assert main(["history", str(archive), "--json", *words]) == 0
+    assert main(["history", str(archive), "--json", "--deadline", "400us", *words]) == 0
     return json.loads(capsys.readouterr().out)["points"]
 
 
@@ -41,7 +42,7 @@ def archived(capsys, results, archive, *words):
 
 def test_figures_are_those_of_the_report(capsys, campaign, tmp_path):
     points = history(capsys, archived(capsys, campaign, tmp_path / "archive"), "--by", "run")
-    analysed = study(campaign, bounds=False)
+    analysed = study(campaign, THESIS, bounds=False)
     groups = {group.label: group for group in analysed.groups}
     assert {point["scenario"] for point in points} == groups.keys()
     compared = 0

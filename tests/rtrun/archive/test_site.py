@@ -6,6 +6,7 @@ import json
 import math
 import re
 from datetime import UTC, datetime
+from pathlib import Path
 from unittest import mock
 
 import pytest
@@ -13,7 +14,11 @@ from archive.archived import write_course
 from hypothesis import given, strategies
 from report.test_browser import browse
 
+from rtrun.analysis.comparison.history import LEAST_BOOTS
+from rtrun.analysis.order.change_points import LEAST_UNITS
+from rtrun.archive import NO_DEADLINE
 from rtrun.archive.pictures import _scale
+from rtrun.archive.states import HISTORY
 from rtrun.cli import main
 from rtrun.report.plots.axes import times
 
@@ -26,7 +31,7 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     facts = [{"commit": EVIL if day else "c0", "kernel": "6.1" if day < 8 else "6.6"} for day in range(16)]
     archive = write_course(folder / "archive", [100.0] * 8 + [120.0] * 8, facts=facts)
-    assert main(["site", str(archive), "--output", str(folder / "pages")]) == 0
+    assert main(["site", str(archive), "--output", str(folder / "pages"), "--deadline", "400us"]) == 0
     return folder / "pages"
 
 
@@ -58,7 +63,10 @@ def test_the_front_page_has_the_state_of_every_scenario(site):
 def test_boards_kernels_and_middlewares_are_on_one_page(boards):
     """A board that got worse through one of two middlewares stands first, and has a row for each of its kernels."""
     page = (boards / "boards.html").read_text()
-    assert "✗ 1 of 3 boards:" in page and 'href="boards.html"' in (boards / "index.html").read_text()
+    assert (
+        "✗ Something got worse on 1 of 3 boards</p>" in page
+        and 'href="boards.html"' in (boards / "index.html").read_text()
+    )
     table = page.partition('class="boards"')[2]
     rows = [re.findall(r"<b>(.*?)</b>", row) + row.split("<td")[1:] for row in table.split("<tr")[2:]]
     assert [row[0] for row in rows] == ["panda-2", "panda-2", "panda-1", "panda-1", LONG, LONG]
@@ -74,6 +82,35 @@ def test_boards_kernels_and_middlewares_are_on_one_page(boards):
     )
     assert own == whole[-len(own) :] and len(own) == 16 and own[-1][1] < whole[0][1]
     assert "6.12&lt;b&gt;" in page and "<b>rt" not in page
+
+
+def test_boards_that_are_too_new_are_not_called_good(tmp_path, capsys):
+    """Only boards with a history can be called no worse."""
+    with mock.patch("os.fsync"):
+        for number in range(2):
+            write_course(tmp_path / "archive", [100.0] * LEAST_BOOTS, machine=f"young-{number}", seed=number)
+
+    def pages():
+        assert main(["site", str(tmp_path / "archive"), "--output", str(tmp_path / "pages")]) == 0
+        return ((tmp_path / "pages" / name).read_text() for name in ("index.html", "boards.html"))
+
+    front, boards = pages()
+    assert f"Of 2 scenarios 2 are too new to judge: {HISTORY}." in front and "Nothing got worse" not in boards
+    assert '<p class="answer">2 of 2 boards too new to judge</p>' in boards
+    assert f"? NEW: {LEAST_BOOTS} boots of {LEAST_BOOTS + 1}" in boards
+    write_course(tmp_path / "archive", [100.0] * (LEAST_BOOTS + 1), machine="young-0", seed=0)
+    front, boards = pages()
+    assert '<p class="answer">Nothing got worse; 1 of 2 boards too new to judge</p>' in boards
+
+
+def test_every_page_states_one_number_of_boots():
+    """A history of so many boots, and the next one that is held against it: two levels that a change needs."""
+    assert LEAST_BOOTS + 1 >= 2 * LEAST_UNITS
+    words = {5: "five", 6: "six", 7: "seven"}
+    pages = Path(__file__).parents[3] / "docs"
+    archive, lab = ((pages / f"{name}.md").read_text() for name in ("archive", "lab"))
+    assert f"A history takes {words[LEAST_BOOTS]} boots" in archive
+    assert f"fewer than {words[LEAST_BOOTS + 1]} boots" in lab
 
 
 PROBE = """<!DOCTYPE html><link rel="icon" href="data:,"><body><script>
@@ -130,6 +167,21 @@ def test_the_page_of_a_scenario_has_its_course(site):
     assert "kernel: 6.1 -&gt; 6.6" in page
     assert page.count("<tr>") == 1 + 32
     assert EVIL not in page and "&lt;script&gt;missing()" in page
+
+
+def test_without_a_deadline_nothing_counts_misses(tmp_path, capsys):
+    """Two values of each run are later than the 400 us of the thesis, which are no default."""
+    archive = write_course(tmp_path / "archive", [100.0] * 6, late=[2] * 6)
+    assert main(["site", str(archive), "--output", str(tmp_path / "pages")]) == 0
+    assert NO_DEADLINE in capsys.readouterr().err
+    for page in (tmp_path / "pages").iterdir():
+        text = page.read_text()
+        if page.suffix == ".html" and page.name != "boards.html":
+            assert "deadline 4" not in text and ">misses<" not in text and "Misses are not counted" in text
+        assert page.name != "metrics.txt" or ("rtrun_value_seconds" in text and "miss" not in text)
+    assert main(["history", str(archive)]) == 0
+    printed = capsys.readouterr()
+    assert "P(" not in printed.out and NO_DEADLINE in printed.err
 
 
 def test_figures_for_grafana(site):

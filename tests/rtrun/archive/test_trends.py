@@ -6,6 +6,7 @@ import pytest
 from archive.archived import N, write_build, write_course
 from report.campaigns import latencies, oneshot_run, write_run
 
+from rtrun.archive import NO_DEADLINE
 from rtrun.cli import main
 from rtrun.targets.inspection.platform import Platform
 
@@ -35,7 +36,7 @@ def slower(tmp_path_factory):
 
 
 def changes(capsys, archive):
-    assert main(["trends", str(archive), "--json"]) == 0
+    assert main(["trends", str(archive), "--deadline", "400us", "--json"]) == 0
     return json.loads(capsys.readouterr().out)["changes"]
 
 
@@ -136,9 +137,21 @@ def test_a_margin_that_is_given_counts(capsys, steady, tmp_path):
 @pytest.mark.parametrize(("boots", "answer"), [(1, "PERHAPS WORSE"), (2, "WORSE")])
 def test_a_build_that_misses_more_fails(capsys, steady, tmp_path, boots, answer):
     results = write_build(tmp_path / "results", *[100.0] * boots, late=10)
-    status, output = gate(capsys, results, steady)
+    assert gate(capsys, results, steady)[0] == 0, "without a deadline"
+    status, output = gate(capsys, results, steady, "--deadline", "400us")
     assert status == 1 and f"  {answer}  " in output
     assert "P(miss) 0.0025, best level of 30 boots 0, limit " in output
+
+
+def test_the_goal_of_the_results_is_the_question(capsys, steady, tmp_path):
+    """Without one, and without a deadline, quantiles alone are compared, and a line tells how to ask."""
+    results = write_build(tmp_path / "results", 100.0, 100.0, late=10)
+    status, output = gate(capsys, results, steady)
+    assert status == 0 and "P(miss) 0" not in output and NO_DEADLINE in output
+    goal = {"deadline": "400us", "probability": 1e-3, "at_most": "1h"}
+    (results / "goal.json").write_text(json.dumps({"schema": 1, "until": goal}))
+    status, output = gate(capsys, results, steady)
+    assert status == 1 and "  WORSE  " in output and "P(miss) 0.0025" in output and NO_DEADLINE not in output
 
 
 def test_what_got_worse_before_is_no_measure_for_a_build(capsys, slower, tmp_path):
