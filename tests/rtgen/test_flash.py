@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import json
 import os
 import pty
 import shutil
@@ -65,6 +66,14 @@ def test_written_and_verified(image, attach, capsys):
     assert hashlib.sha256(image.read_bytes()).hexdigest() in out
     with backing.open("rb") as stream:
         assert stream.read(image.stat().st_size) == image.read_bytes()
+
+
+def test_what_was_written_for_programs(image, attach, capsys):
+    device, _ = attach(16 * MIB)
+    assert flash_it(image, device, "--yes", "--json") == 0
+    digest, size = hashlib.sha256(image.read_bytes()).hexdigest(), image.stat().st_size
+    told = {"schema": 1, "device": str(device), "bytes": size, "sha256": digest}
+    assert json.loads(capsys.readouterr().out) == told
 
 
 @contextlib.contextmanager

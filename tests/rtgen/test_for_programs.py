@@ -1,5 +1,6 @@
 """What commands print for programs: one JSON object, with a schema, and nothing else on standard output."""
 
+import contextlib
 import json
 
 from rtgen.cli import main
@@ -67,3 +68,52 @@ def test_what_is_built_is_one_object_whatever_a_build_prints(capsys, tmp_path, m
 def test_a_target_that_builds_suites_has_a_json_of_its_own(capsys):
     assert main(["suites", "build", "--on", "board.yml", "--json"]) == 2
     assert "--json goes without --on" in capsys.readouterr().err
+
+
+def test_every_command_that_prints_an_answer_has_json(capsys):
+    lacks = []
+    for words in (
+        ("profiles",),
+        ("explain",),
+        ("new-profile",),
+        ("render",),
+        ("doctor",),
+        ("flash",),
+        ("kernel", "build"),
+        ("kconfig", "render"),
+        ("kconfig", "verify"),
+        ("board", "build"),
+        ("board", "machines"),
+        ("suites", "build"),
+    ):
+        with contextlib.suppress(SystemExit):
+            main([*words, "--help"])
+        if "--json" not in capsys.readouterr().out:
+            lacks.append(words)
+    assert not lacks
+
+
+def test_a_profile_explained_and_copied(capsys, tmp_path):
+    explained = printed(capsys, "explain", "scarthgap-noetic")
+    assert explained["release"] == "scarthgap" and "kas.yml" in explained["files"]
+    copy = tmp_path / "mine.yml"
+    assert printed(capsys, "new-profile", str(copy)) == {"file": str(copy), "from": "scarthgap-noetic"}
+
+
+def test_a_rendering(capsys, tmp_path):
+    words = ("render", "--output", str(tmp_path))
+    done = printed(capsys, *words)
+    assert done["written"] == done["files"] and done["removed"] == []
+    assert printed(capsys, *words, "--check")["difference"] == ""
+    (tmp_path / "kas.yml").write_text((tmp_path / "kas.yml").read_text() + "more: 1\n")
+    assert "-more: 1\n" in printed(capsys, *words, "--check", status=1)["difference"]
+
+
+def test_fragments(capsys):
+    rendered = printed(capsys, "kconfig", "render", "--check", "--machine", "qemu-armv7")
+    assert rendered["difference"] == "" and {each["state"] for each in rendered["fragments"]} == {"unchanged"}
+
+
+def test_a_card_is_asked_about_or_described(capsys):
+    assert main(["flash", "--image", "card.img", "--device", "/dev/null", "--json"]) == 2
+    assert "--json goes with --yes" in capsys.readouterr().err

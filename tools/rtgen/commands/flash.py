@@ -4,6 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from rtgen.commands import add_json
+
 HELP = "write an image to an SD card or USB stick and read it back"
 EXAMPLES = (
     "rtgen flash --image card.img --device /dev/mmcblk0 --yes",
@@ -24,15 +26,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--device", type=Path, required=True, metavar="/dev/sdX", help="the card, not a partition of it"
     )
     parser.add_argument("--yes", action="store_true", help="do not ask")
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_line, print_status
+    from rtfiles.output import print_json, print_line, print_status
     from rtgen import flash
 
+    if args.json and not args.yes:
+        raise UsageError("--json goes with --yes: the question would stand in the answer")
     size = flash.check_image(args.image)
     card = flash.check_device(args.device, size)
+    if args.json:
+        digest = flash.write(args.image, size, card, lambda *_: None)
+        print_json({"schema": 1, "device": str(card.path), "bytes": size, "sha256": digest})
+        return 0
     print_line(f"{args.image} ({size} bytes) -> {card.path}: {card.model}, {card.size_bytes} bytes.")
     print_line(f"Everything on {card.path} will be lost.")
     if not args.yes:

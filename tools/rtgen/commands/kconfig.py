@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     render.add_argument(
         "--check", action="store_true", help="write nothing, show differences; exit status 1 if there are any"
     )
+    add_json(render)
     text = "compare the .config that the kernel makes from a fragment, or a finished .config, with kconfig/options"
     verify = commands.add_parser("verify", help=text, description=text)
     verify.add_argument("--machine", help="one of kconfig/machines.yml (default with --source: every machine)")
@@ -64,26 +65,30 @@ def _render(args: argparse.Namespace) -> int:
     checkout()
     data = kconfig.load()
     machines = [args.machine] if args.machine else list(data.machines)
-    outdated, count = False, 0
+    fragments, difference = [], ""
     for machine in machines:
         for kernel in [args.kernel] if args.kernel else data.kernels_of(machine):
-            count += 1
             text, path = render(data, machine, kernel), fragment_path(data, machine, kernel)
             name = str(path.relative_to(data.folder.parent))
             before = path.read_text(encoding="utf-8") if path.is_file() else ""
+            fragments.append({"fragment": name, "state": "unchanged" if before == text else "written"})
             if not args.check:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 atomic.write_text(path, text)
-                print_line(f"{name}: {'unchanged' if before == text else 'written'}")
             elif before != text:
-                outdated = True
-                diff = difflib.unified_diff(
-                    before.splitlines(keepends=True), text.splitlines(keepends=True), name, f"{name} (rendered)"
-                )
-                print_text("".join(diff))
-    if args.check and not outdated:
-        print_line(f"{count} fragments are as rendered")
-    return int(outdated)
+                fragments[-1]["state"] = "differs"
+                lines = (each.splitlines(keepends=True) for each in (before, text))
+                difference += "".join(difflib.unified_diff(*lines, name, f"{name} (rendered)"))
+    if args.json:
+        print_json({"schema": 1, "fragments": fragments, "difference": difference})
+    elif difference:
+        print_text(difference)
+    elif args.check:
+        print_line(f"{len(fragments)} fragments are as rendered")
+    else:
+        for each in fragments:
+            print_line(f"{each['fragment']}: {each['state']}")
+    return int(bool(difference))
 
 
 def _verify(args: argparse.Namespace) -> int:
@@ -111,7 +116,7 @@ def _verify(args: argparse.Namespace) -> int:
             verdicts.append(verify_tree(data, tree, name, base, fragment, origin, args.kernel))
             if not args.json:
                 report(verdicts[-1])
-    return _end(verdicts, as_json=args.json)
+    return end(verdicts, as_json=args.json)
 
 
 def _verify_config(args: argparse.Namespace, data: "Data") -> int:
@@ -124,10 +129,10 @@ def _verify_config(args: argparse.Namespace, data: "Data") -> int:
     verdict = verify_config(data, args.machine, read_text(args.config), str(args.config), args.kernel)
     if not args.json:
         report(verdict)
-    return _end([verdict], as_json=args.json)
+    return end([verdict], as_json=args.json)
 
 
-def _end(verdicts: "Sequence[Verification]", *, as_json: bool) -> int:
+def end(verdicts: "Sequence[Verification]", *, as_json: bool) -> int:
     """Print the verdicts for programs, if that is asked for; return the exit status."""
     from dataclasses import asdict
 

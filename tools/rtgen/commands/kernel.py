@@ -2,6 +2,8 @@
 
 import argparse
 
+from rtgen.commands import add_json
+
 HELP = "build a PREEMPT_RT kernel from a machine's fragment"
 EXAMPLES = (
     "rtgen kernel build --machine qemu-armv7",
@@ -17,25 +19,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     build = commands.add_parser("build", help=text, description=text)
     build.add_argument("--machine", required=True, help="a machine of kconfig/machines.yml, or a board listed there")
     build.add_argument("--kernel", help="a version of kconfig/sources.yml, as 7.2 (default: the first there)")
+    add_json(build)
 
 
 def run(args: argparse.Namespace) -> int:
     """0 when the kernel is built, 1 when its options do not hold."""
-    from rtfiles.output import print_line
+    from rtfiles.output import beside_the_answer, print_json, print_line
     from rtgen import kernel
-    from rtgen.commands.kconfig import report
+    from rtgen.commands.kconfig import end, report
     from rtgen.kconfig import data as kconfig
 
     data = kconfig.load()
     machine = data.fragment_of(args.machine)
     verdict = kernel.plan(data, machine, args.kernel)
-    if report(verdict):
+    if args.json and verdict.mismatches:
+        return end([verdict], as_json=True)
+    if not args.json and report(verdict):
         return 1
-    folder = kernel.build(data, machine, verdict, args.kernel)
+    with beside_the_answer(args.json):
+        folder = kernel.build(data, machine, verdict, args.kernel)
+    files = [each for each in sorted(folder.rglob("*")) if each.is_file()]
+    sizes = {
+        name: each.stat().st_size
+        for each in files
+        if not (name := str(each.relative_to(folder))).startswith("modules/")
+    }
+    modules = len(list((folder / "modules").rglob("*.ko")))
+    if args.json:
+        print_json({"schema": 1, "machine": machine, "folder": str(folder), "bytes": sizes, "modules": modules})
+        return 0
     print_line(f"{folder}:")
-    for file in sorted(folder.rglob("*")):
-        if file.is_file() and file.relative_to(folder).parts[0] != "modules":
-            print_line(f"  {file.relative_to(folder)}  {file.stat().st_size / 1024:.0f} KiB")
-    modules = list((folder / "modules").rglob("*.ko"))
-    print_line(f"  modules  {len(modules)} of them" if modules else "  no modules: everything is built in")
+    for name, size in sizes.items():
+        print_line(f"  {name}  {size / 1024:.0f} KiB")
+    print_line(f"  modules  {modules} of them" if modules else "  no modules: everything is built in")
     return 0

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from rtgen.commands import DEFAULT_PROFILE
+from rtgen.commands import DEFAULT_PROFILE, add_json
 
 HELP = "write meta-rt-tests/ and kas.yml from a profile, and what the suites' programs know of suites.yml"
 EXAMPLES = (
@@ -19,10 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check", action="store_true", help="write nothing, show differences; exit status 1 if there are any"
     )
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    from rtfiles.output import print_line, print_note, print_text
+    from rtfiles.output import print_json, print_line, print_note, print_text
     from rtgen.checkout import checkout
     from rtgen.layer import output
     from rtgen.layer.programs import render_programs
@@ -34,8 +35,12 @@ def run(args: argparse.Namespace) -> int:
     tree = render(profile_path(args.profile).stem, profile, release, prefix=output.prefix_in_git(out))
     if not args.output:
         tree |= render_programs()
+    facts = {"schema": 1, "profile": args.profile, "folder": str(out), "files": len(tree)}
     if args.check:
         difference = output.differences(tree, out)
+        if args.json:
+            print_json(facts | {"difference": difference})
+            return int(bool(difference))
         if difference:
             print_text(difference)
             print_note(f"rtgen: {out} is not what profile {args.profile} renders")
@@ -43,6 +48,10 @@ def run(args: argparse.Namespace) -> int:
         print_line(f"{out}: {len(tree)} files, as profile {args.profile} renders them")
         return 0
     done = output.write(tree, out)
+    if args.json:
+        removed, linked = ([str(path) for path in paths] for paths in (done.removed, done.linked))
+        print_json(facts | {"written": done.written, "removed": removed, "linked": linked})
+        return 0
     print_line(
         f"{out}: {len(tree)} files of profile {args.profile}, {done.written} written, {len(done.removed)} removed"
     )

@@ -202,8 +202,8 @@ def device_tree_folder(machine: ProfileMachine) -> str:
     return "ti/omap/" if machine.kernel.series >= (6, 5) else ""
 
 
-def resolve(name: str, profile: Profile, release: Release) -> str:
-    """A profile with the facts of its release, its layers, fragments and files, as YAML."""
+def resolve(name: str, profile: Profile, release: Release) -> dict[str, Any]:
+    """A profile with the facts of its release, its layers, fragments and files, by the names of a profile's file."""
     data = profile.model_dump(mode="json", by_alias=True, exclude_none=True)
     data["release_facts"] = release.model_dump(mode="json")
     data["layers"] = layer_names(profile.repositories)
@@ -212,7 +212,7 @@ def resolve(name: str, profile: Profile, release: Release) -> str:
         machine: _fragment(known[machine].fragment, profile.machines[machine])[0] for machine in profile.machines
     }
     data["files"] = [str(path) for path in sorted(render(name, profile, release))]
-    return yaml.safe_dump(data, sort_keys=False, width=120, allow_unicode=True)
+    return data
 
 
 def _scalar(value: str) -> str:
