@@ -48,7 +48,9 @@ def test_a_first_answer_needs_no_file_and_leaves_those_to_go_on_from(quick, suit
     late = kept_from_its_rate(tmp_path / "results" / "quick")
     assert status == (3 if late else 0), printed
     (heading,) = [line for line in printed.splitlines() if line.endswith(" How many are late, 95 % sure:")]
-    measured = set(re.findall(r"^(\w+)(?: trace=\w+)? +none of [0-9 ]+ late, ", printed.split(heading)[1], re.M))
+    measured = set(
+        re.findall(r"^(\w+)(?: not traced| traced above \w+)? +none of [0-9 ]+ late, ", printed.split(heading)[1], re.M)
+    )
     wanted = {"cyclic_timer", "oneshot_timer", "communication"}
     assert measured >= wanted - {name.removesuffix("_tests") for name in late}
     assert all(re.search(rf"^not analysed: .*{name}", printed, re.M) for name in wanted - measured), printed

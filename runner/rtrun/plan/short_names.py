@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from rtrun.plan import conditions
-from rtrun.plan.run import Run
+from rtrun.plan.run import UNTRACED, Run
 from rtrun.plan.suites import NOT_TELLING, Value, options
 from rtrun.plan.topology.planning import TopologyPlan
 
@@ -60,6 +60,8 @@ def format_parameters(parameters: Mapping[str, Value]) -> str:
             continue
         if key == "policy":
             words.insert(0, "OTHER" if value == "0" else str(value))
+        elif key == "trace":
+            words.append("not traced" if value == UNTRACED else f"traced above {value}")
         else:
             words.append(f"{value}{_UNITS[key]}" if key in _UNITS else f"{key}={value}")
     return " ".join(words)

@@ -152,7 +152,8 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
         return f"{causes.answer(culprits)}{f'. {advice}' if advice else ''}"
     open_ = [verdict for one in made if (verdict := one.group.verdict) and verdict.answer is Answer.NEEDS_MORE]
     bad = [verdict for one in made if (verdict := one.group.verdict) and is_likely_refuted(verdict)]
-    if bad and all(verdict.absent > verdict.late and not is_of_periods(verdict.question.of) for verdict in bad):
+    undecided = bad or [verdict for verdict in open_ if verdict.decided_after is None]
+    if undecided and all(one.absent > one.late and not is_of_periods(one.question.of) for one in undecided):
         return "find out where values are lost: queues and their depth, quality of service, the network, a busy thread"
     if bad:
         return (

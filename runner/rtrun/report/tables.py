@@ -1,6 +1,7 @@
 """A table as text for every format, and how it is laid out on a screen."""
 
 import math
+import re
 import textwrap
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,6 +29,8 @@ STYLES = {
     "confirmed": "green",
     "refuted": "bold red",
 }
+_THOUSANDS = re.compile(r"(?<=\d) (?=\d{3}\b)")
+_KEPT = "\N{NO-BREAK SPACE}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,8 +146,11 @@ def _wrapped(text: str, width: int) -> list[str]:
     """The lines of a cell; those after the first are indented if every word still fits."""
     if len(text) <= width:
         return [text]
-    indent = "  " if max(map(len, text.split())) + 2 <= width else ""
-    return textwrap.wrap(text, width, break_on_hyphens=False, subsequent_indent=indent)
+    # A number stays whole, with the spaces between its thousands.
+    whole = _THOUSANDS.sub(_KEPT, text)
+    indent = "  " if max(map(len, whole.split(" "))) + 2 <= width else ""
+    lines = textwrap.wrap(whole, width, break_on_hyphens=False, subsequent_indent=indent)
+    return [line.replace(_KEPT, " ") for line in lines]
 
 
 def printable_table(table: Table) -> Table:

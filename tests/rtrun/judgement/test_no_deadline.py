@@ -28,7 +28,7 @@ def test_there_are_figures_and_how_to_ask(results, capsys, command, how):
     assert main([*command, str(results)]) == 0
     printed = capsys.readouterr().out
     assert how in printed and not any(word in printed for word in VERDICTS)
-    assert "cyclic_timer RR 1000 Hz" in printed and "p99.9" in printed
+    assert "cyclic_timer RR " in printed and "p99.9" in printed
     assert main([*command, str(results), "--deadline", "1ms"]) == 0
     printed = capsys.readouterr().out
     assert how not in printed and re.search("is not met in 5 of 15|REFUTED", printed)

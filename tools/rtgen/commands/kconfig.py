@@ -77,8 +77,8 @@ def _render(args: argparse.Namespace) -> int:
                 atomic.write_text(path, text)
             elif before != text:
                 fragments[-1]["state"] = "differs"
-                lines = (each.splitlines(keepends=True) for each in (before, text))
-                difference += "".join(difflib.unified_diff(*lines, name, f"{name} (rendered)"))
+                present, wanted = before.splitlines(keepends=True), text.splitlines(keepends=True)
+                difference += "".join(difflib.unified_diff(present, wanted, name, f"{name} (rendered)"))
     if args.json:
         print_json({"schema": 1, "fragments": fragments, "difference": difference})
     elif difference:
