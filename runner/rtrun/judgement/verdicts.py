@@ -183,7 +183,7 @@ def scope_in_short(verdict: Verdict) -> str:
     """What a proof holds for, in a few words."""
     unlike = verdict.unlike_boots
     share = (
-        f" (up to {percent_at_most(unlike.share)} of all boots may behave differently)"
+        f" (boots of another kind, up to {percent_at_most(unlike.share)} of all, may not have been among them)"
         if unlike and unlike.measured > 1
         else ""
     )

@@ -182,8 +182,11 @@ def answer(ranking: Ranking) -> str:
             f"{kind}, none of them alone: the main cause of {ranking.main_by_kind[kind]} of {outliers}, "
             f"{_percent(total_ns, ranking.late_ns)} of their lateness: {', '.join(names[:NAMES_MAX])}{more}"
         )
-    text = f"No single cause: nothing is the main one of half of {outliers}"
-    return f"{text}; most often, for {first.main}, it is {culprit_name(first)}" if first.main else text
+    if not first.main:
+        return f"No cause stands out in {outliers}"
+    return (
+        f"No cause stands out: the most frequent, {culprit_name(first)}, is the main one of {first.main} of {outliers}"
+    )
 
 
 def _not_known(ranking: Ranking, first: Culprit) -> str:

@@ -51,7 +51,7 @@ def lines(study: Study, made: Sequence[Scenario]) -> Table:
         text = sentence(one)
         if one.group.key in study.members and one.answer == Answer.NEEDS_MORE:
             # All boards together are decided, or say what is missing.
-            text = f"{text.partition(';')[0]}; decided for all boards together"
+            text = f"{text.partition(';')[0]}; judged together with the other boards"
         rows.append((study.short_name(one.group), text.removesuffix(said)))
     return Table(columns=("", ""), rows=rows)
 

@@ -26,10 +26,10 @@ from rtrun.report.tables import Table
 
 def question(study: Study) -> str:
     """The question that is answered."""
-    boots = counted(study.question.boots, "boot")
+    boots = f"on at least {study.question.boots} boots, " if study.question.boots > 1 else ""
     covered = study.question.covered
     bursts = "if misses come singly" if study.question.bursts == 1 else f"even with {covered}"
-    return f"asked: {study.asked_in_full}, on at least {boots}, {bursts}"
+    return f"asked: {study.asked_in_full}, {boots}{bursts}"
 
 
 def table(standings: Sequence[Standing]) -> Table:

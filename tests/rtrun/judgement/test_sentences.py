@@ -138,8 +138,8 @@ def test_a_change_is_said_before_anything_else():
         (trials(4000), "in this boot, if late values come singly"),
         (
             trials(100_000, boots=5),
-            "on boots like the 5 that were measured (up to 53 % of all boots may behave differently), "
-            "even if late values come 22 in a row",
+            "on boots like the 5 that were measured (boots of another kind, up to 53 % of all, may not have been among "
+            "them), even if late values come 22 in a row",
         ),
     ],
 )

@@ -291,7 +291,8 @@ def drawn(topology):
     return found
 
 
-def test_plan_draws_each_arrow_once_and_says_what_each_cpu_is_asked_for(tmp_path, capsys):
+def test_plan_draws_each_arrow_once_and_says_what_each_cpu_is_asked_for(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "140")
     assert main(["plan", str(campaign(tmp_path))]) == 0
     said = capsys.readouterr().out
     assert "lidar ─/points→ detect ─/objects→ fuse ─/state→ control ─/cmd→ brake\nimu ─/imu→ fuse\n" in said

@@ -8,6 +8,7 @@ import pytest
 from rtfiles.errors import UsageError
 from rtrun.cli import main
 from rtrun.targets.config import connect, read_target
+from rtrun.targets.inspection.facts import Equipment, check_suites
 
 SSH = "schema: 1\nname: board\nkind: ssh\nhost: 127.0.0.1\n"
 
@@ -47,14 +48,20 @@ def test_a_work_dir(tmp_path):
 
 def test_a_folder_that_is_none_of_suites(tmp_path):
     config = read(tmp_path, SSH + "suites: there\n")
-    with pytest.raises(UsageError, match="there: no such folder"), connect(config, tmp_path, tmp_path / "log"):
-        pass
-    (tmp_path / "there" / "lib").mkdir(parents=True)
-    with pytest.raises(UsageError, match=r"there: has no build\.json"), connect(config, tmp_path, tmp_path / "log"):
-        pass
-    (tmp_path / "there" / "build.json").write_text("{}")
+    there = tmp_path / "there"
+    # Only where suites are used they are asked for: an observation has none.
     with connect(config, tmp_path, tmp_path / "log") as target:
-        assert target.suites == tmp_path / "there"
+        assert target.suites == there
+    equipment = Equipment(
+        middlewares={}, programs={}, built_with={}, cpus=1, free_bytes=0, architecture=None, debian=None
+    )
+    with pytest.raises(UsageError, match="there: no such folder"):
+        check_suites(there, target, equipment)
+    (there / "lib").mkdir(parents=True)
+    with pytest.raises(UsageError, match=r"there: has no build\.json"):
+        check_suites(there, target, equipment)
+    (there / "build.json").write_text("{}")
+    check_suites(there, target, equipment)
 
 
 @pytest.mark.parametrize(
