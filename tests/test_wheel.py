@@ -72,7 +72,11 @@ COMMANDS = [
     ("rtrun archive add results --to archive", 0, "runs added"),
     ("rtrun history archive", 0, "oneshot_timer"),
     ("rtrun trends archive", 0, "0 changes in 15 courses"),
-    ("rtrun bisect archive --order order.txt --deadline 1ms", 2, "none of its 1 lines is the commit of a run"),
+    (
+        "rtrun bisect archive --order order.txt --deadline 1ms",
+        2,
+        "order.txt: none of its 1 lines is the commit of a run",
+    ),
     ("rtrun site archive --output site", 0, "site/index.html"),
     ("rtrun farm --target missing.yml", 2, "missing.yml: No such file"),
     ("rtrun notify missing.yml archive", 2, "missing.yml: No such file"),

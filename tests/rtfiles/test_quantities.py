@@ -66,7 +66,16 @@ def test_an_interval_is_never_narrower_than_it_is(low: float, high: float, said:
 
 
 @pytest.mark.parametrize(
-    ("share", "said"), [(0.5218, "53 %"), (0.05, "5 %"), (0.0499, "5 %"), (0.0, "0 %"), (0.975, "98 %"), (1.0, "100 %")]
+    ("share", "said"),
+    [
+        (0.5218, "53 %"),
+        (0.05, "5 %"),
+        (0.0499, "5 %"),
+        (0.0, "0 %"),
+        (0.975, "98 %"),
+        (0.98741, "98.75 %"),
+        (1.0, "100 %"),
+    ],
 )
 def test_a_share_that_is_a_bound_is_never_lower_than_it_is(share: float, said: str) -> None:
     assert percent_at_most(share) == said

@@ -68,7 +68,7 @@ def between(low: float, high: float) -> str:
 
 def percent_at_most(share: float) -> str:
     """A share as `percent`, no lower than it is."""
-    return percent(min(1.0, _to_digits(share, 1, math.ceil)) if share and 100 * share < 98.5 else share)
+    return percent(min(1.0, _to_digits(share, 1 if share < 0.985 else 3, math.ceil)) if share else share)
 
 
 def _one_digit(share: float, rounded: Callable[[float], int]) -> float:

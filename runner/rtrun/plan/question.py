@@ -96,6 +96,11 @@ class Question:
         return self.deadline_ns
 
     @property
+    def on_boots(self) -> str:
+        """The boots that are asked for, in words; empty for a single one."""
+        return f"on at least {self.boots} boots" if self.boots > 1 else ""
+
+    @property
     def covered(self) -> str:
         """The bursts that a proof has to cover, in words."""
         if self.bursts is None:

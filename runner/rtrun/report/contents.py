@@ -89,9 +89,8 @@ def _question(study: Study) -> str:
     if study.groups and not any(group.question for group in study.groups):
         return "What follows are figures alone: which values are late, a deadline says."
     asked = study.asked
-    boots = f", on at least {asked.boots} boots" if asked.boots > 1 else ""
-    bursts = f", covering {asked.covered}" if asked.bursts != 1 else ""
-    return f"Asked: {study.asked_in_full}, two-sided{boots}{bursts}."
+    bursts = f"covering {asked.covered}" if asked.bursts != 1 else ""
+    return f"Asked: {', '.join(filter(None, (study.asked_in_full, 'two-sided', asked.on_boots, bursts)))}."
 
 
 def _answer(study: Study, made: Sequence[Scenario]) -> str:

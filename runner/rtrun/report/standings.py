@@ -26,10 +26,9 @@ from rtrun.report.tables import Table
 
 def question(study: Study) -> str:
     """The question that is answered."""
-    boots = f"on at least {study.question.boots} boots, " if study.question.boots > 1 else ""
-    covered = study.question.covered
-    bursts = "if misses come singly" if study.question.bursts == 1 else f"even with {covered}"
-    return f"asked: {study.asked_in_full}, {boots}{bursts}"
+    asked = study.question
+    bursts = "if misses come singly" if asked.bursts == 1 else f"even with {asked.covered}"
+    return f"asked: {', '.join(filter(None, (study.asked_in_full, asked.on_boots, bursts)))}"
 
 
 def table(standings: Sequence[Standing]) -> Table:

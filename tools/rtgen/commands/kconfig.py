@@ -149,13 +149,12 @@ def end(verdicts: "Sequence[Verification]", *, as_json: bool) -> int:
     return int(any(each.mismatches for each in verdicts))
 
 
-def report(verdict: "Verification") -> bool:
-    """Print a verdict; whether it is a failure."""
+def report(verdict: "Verification") -> None:
+    """Print a verdict."""
     count = len(verdict.mismatches)
     if not count:
         print_line(f"{verdict.subject}: all {verdict.checked} options hold")
-        return False
+        return
     print_line(f"{verdict.subject}: {count} of {verdict.checked} options do not hold")
     for item in verdict.mismatches:
         print_line(f"  {item.symbol}: wanted {item.want}, is {item.got}: {item.reason}")
-    return True

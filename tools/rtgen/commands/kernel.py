@@ -32,10 +32,10 @@ def run(args: argparse.Namespace) -> int:
     data = kconfig.load()
     machine = data.fragment_of(args.machine)
     verdict = kernel.plan(data, machine, args.kernel)
-    if args.json and verdict.mismatches:
-        return end([verdict], as_json=True)
-    if not args.json and report(verdict):
-        return 1
+    if not args.json:
+        report(verdict)
+    if verdict.mismatches:
+        return end([verdict], as_json=args.json)
     with beside_the_answer(args.json):
         folder = kernel.build(data, machine, verdict, args.kernel)
     files = [each for each in sorted(folder.rglob("*")) if each.is_file()]

@@ -36,7 +36,7 @@ constexpr int64_t lateness_ns(int64_t previous_expected_ns, int64_t expected_ns,
   return real_ns - expected_ns + (passed_ns > period_ns ? passed_ns % period_ns : 0);
 }
 
-// How late the call of a row is; none of the first.
+// How late the call of a row is. The first call has no lateness.
 inline std::optional<int64_t> lateness_of(const Samples& samples, std::size_t row, int64_t frequency_hz) {
   if (row == 0) return std::nullopt;
   const auto& [timestamp_ns, expected_ns, real_ns] = samples[row];
