@@ -25,7 +25,7 @@ from rtrun.kinds.values import Int64s
 
 # Higher than for events, because units are few: five boots, each worse than the last, have the chance 2/120.
 _SIGNIFICANT_OF_LEVELS = 0.02
-_SIGNIFICANT_OF_MISSES = 0.05
+_SIGNIFICANT_OF_MISSES = 0.03
 LEAST_UNITS = 5
 # The chance with which a trend of the smallest size that is stated is seen.
 _POWER = 0.9
