@@ -158,9 +158,9 @@ def examine_constancy(
     )
     # Each kind of test has an error rate of its own: many tests of one kind must not hide what another one sees.
     families = (
-        [change for change in found if change.significant == at]
+        [change for change in found if change.of_heights is of_heights]
         for found in levels
-        for at in {change.significant for change in found}
+        for of_heights in (False, True)
     )
     in_time = [change for family in families if (change := _strongest(family)) is not None]
     alone = _strongest(_alone(boots, probability, confidence))
@@ -202,9 +202,9 @@ def _within(boot: Boot, of_heights: bool) -> tuple[Visits | None, list[Change]]:
     """
     found: list[Change] = []
     seen: Visits | None = None
-    of_misses = (boot.missed_at, boot.missed_at, "misses", SIGNIFICANT_OF_MISSES)
-    of_high_values = (boot.highest_at, boot.high_at, "highest values", SIGNIFICANT)
-    for tested, places, events, significant in (of_misses, of_high_values)[: 1 + of_heights]:
+    misses = (boot.missed_at, boot.missed_at, "misses", SIGNIFICANT_OF_MISSES, False)
+    heights = (boot.highest_at, boot.high_at, "highest values", SIGNIFICANT, True)
+    for tested, places, events, significant, is_of_heights in (misses, heights)[: 1 + of_heights]:
         change = None if tested is None else find_change(tested, boot.loops, events, significant)
         if change is None or places is None:
             continue
@@ -216,7 +216,7 @@ def _within(boot: Boot, of_heights: bool) -> tuple[Visits | None, list[Change]]:
             elif visits.returns:
                 missing = (RETURNS - visits.returns) * boot.loops // visits.returns
                 change = replace(change, missing_loops=missing)
-        found.append(change)
+        found.append(replace(change, of_heights=is_of_heights))
     return seen, found
 
 

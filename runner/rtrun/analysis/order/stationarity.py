@@ -24,14 +24,16 @@ _LEAST_FOR_PARTS = 5 * PARTS
 class Change:
     """A sign that it did not stay the same, seen if ``p_value`` is below ``significant``.
 
-    ``what`` says that in words. ``p_value`` is corrected for all tests made in the run. Where a load comes and goes,
-    ``missing_loops`` more would show whether that goes on.
+    ``what`` says that in words. ``p_value`` is corrected for all tests made in the run. It is a change of how high
+    values are, or of how often misses come. Where a load comes and goes, ``missing_loops`` more would show whether that
+    goes on.
     """
 
     p_value: float
     significant: float
     text: str
     what: str = UNSTEADY
+    of_heights: bool = False
     missing_loops: int | None = None
 
 

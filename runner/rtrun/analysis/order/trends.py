@@ -24,8 +24,7 @@ from rtrun.analysis.trials import Trials
 from rtrun.kinds.values import Int64s
 
 # Higher than for events, because units are few: five boots, each worse than the last, have the chance 2/120.
-_SIGNIFICANT_OF_LEVELS = 0.02
-_SIGNIFICANT_OF_MISSES = 0.03
+_SIGNIFICANT_OF_UNITS = 0.02
 LEAST_UNITS = 5
 # The chance with which a trend of the smallest size that is stated is seen.
 _POWER = 0.9
@@ -72,12 +71,12 @@ def changes_between(strata: Sequence[Sequence[Unit]], name: str, *, of_heights: 
     strata = [units for units in strata if len(units) > 1]
     if order := find_order([_miss_rates(units) for units in strata], by_height=True):
         text = f"misses come more often {order.words(name)}"
-        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_MISSES, text=text)
+        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_UNITS, text=text)
     order = find_order(levels_ns(strata), by_height=False) if of_heights else None
     # Falling heights do not weaken a proof.
     if order is not None and order.where in _WORSE:
         text = f"high values are higher {order.words(name)}"
-        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_LEVELS, text=text)
+        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_UNITS, text=text, of_heights=True)
 
 
 def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Change]:
@@ -85,15 +84,15 @@ def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Cha
     runs = [run for run in runs if all(one.n >= PIECES for one in run)]
     of_misses = [sum(_in_pieces(one.missed_at, one.n) for one in run) for run in runs]
     of_high = [sum(_in_pieces(one.high_at, one.n) for one in run) for run in runs] if of_heights else []
-    for counts, events, significant in (
-        (of_misses, "misses come more often", SIGNIFICANT_OF_MISSES),
-        (of_high, "high values come more often", SIGNIFICANT),
+    for counts, events, significant, is_of_heights in (
+        (of_misses, "misses come more often", SIGNIFICANT_OF_MISSES, False),
+        (of_high, "high values come more often", SIGNIFICANT, True),
     ):
         order = find_common_order(np.array(counts, np.float64)) if counts else None
         # An effect at the start of each run fades: longer runs have less of it.
         if order is not None and order.where in _WORSE:
             text = f"{events} {order.words('pieces')} of each run, cut into {PIECES}"
-            yield Change(p_value=order.p_value, significant=significant, text=text)
+            yield Change(p_value=order.p_value, significant=significant, text=text, of_heights=is_of_heights)
 
 
 def _in_pieces(places: Int64s, loops: int) -> Int64s:
@@ -161,7 +160,7 @@ def _smallest_ns(strata: Sequence[Floats]) -> float | None:
         return None
     slope = _slope(strata)
     rest = sum(float(((levels - levels.mean() - slope * _places(levels.size)) ** 2).sum()) for levels in strata)
-    significant = _SIGNIFICANT_OF_LEVELS / signs_looked_at(min(levels.size for levels in strata if levels.size))
+    significant = _SIGNIFICANT_OF_UNITS / signs_looked_at(min(levels.size for levels in strata if levels.size))
     reach = student_quantile(1 - significant, degrees) + student_quantile(_POWER, degrees)
     return reach * (_OF_RANKS if units >= _MANY else _OF_FEW_RANKS) * float(np.sqrt(rest / degrees / spread))
 
@@ -173,7 +172,7 @@ def _reached_after(strata: Sequence[Sequence[Unit]], deadline_ns: int) -> float 
         for units in strata
     ]
     order, slope = find_order(highest, by_height=False), _slope(highest)
-    if order is None or order.p_value >= _SIGNIFICANT_OF_MISSES or order.where not in _WORSE or slope <= 0:
+    if order is None or order.p_value >= _SIGNIFICANT_OF_UNITS or order.where not in _WORSE or slope <= 0:
         return None
     last = max(float(values.mean() + slope * _places(values.size)[-1]) for values in highest)
     after = (deadline_ns - last) / slope
