@@ -30,6 +30,7 @@ NOT_RUN = {
     "rtgen kconfig verify --machine arm64 --source": "a kernel tree; tests/rtgen/test_kconfig_verify.py",
     "rtgen suites build": "minutes; tests/suites/test_build_on.py",
     "rtrun quick --deadline 1ms --target robot.yml --middleware rcl": "a ROS 2 at /opt/ros; tests/suites/test_ros2.py",
+    "rtrun quick --target root@robot.local --thread": "a ros2_control; tests/rtrun/commands/test_quick_thread.py",
     "rtrun observe --target robot.yml --for 60s --deadline loop:": "a ros2_control; tests/rtrun/probes/test_loops.py",
     "rtrun run campaigns/smoke.yml --targets labgrid:": "a farm; tests/integration/test_labgrid_boards.py",
 }

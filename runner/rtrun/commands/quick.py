@@ -1,4 +1,4 @@
-"""``rtrun quick``: a first answer without any file, with the tools that a target has."""
+"""``rtrun quick``: a first answer without any file, with the tools that a target has, or of a loop that runs there."""
 
 import argparse
 from pathlib import Path
@@ -18,6 +18,7 @@ HELP = "a first answer in a minute, without a file: which P(miss) is proven, wha
 EXAMPLES = (
     "rtrun quick",
     "rtrun quick --deadline 500us --target root@robot.local --for 10m",
+    "rtrun quick --thread ros2_control_node --deadline 200us --target root@robot.local",
 )
 POLICY = "FIFO"
 NO_REAL_TIME = "0"
@@ -43,6 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TIME",
         help="how long to measure [1min]",
     )
+    parser.add_argument(
+        "--thread",
+        metavar="PROGRAM[/THREAD]",
+        help="measure the loop of a program that runs, unmodified: nothing else is started",
+    )
     parser.add_argument("--suite", action="append", default=[], metavar="SUITE", help="measure it alone, or these")
     parser.add_argument(
         "--middleware", metavar="NAME", help="of the suites [roscpp, else rcl, else shared memory and sockets]"
@@ -60,11 +66,12 @@ def run(args: argparse.Namespace) -> int:
     import yaml
 
     from rtfiles import atomic
+    from rtfiles.errors import UsageError
     from rtfiles.output import beside_the_answer, print_json, print_line, print_status
     from rtrun.commands._boards import TargetFile, measure_made, print_failed
     from rtrun.commands._link import linked
     from rtrun.judgement.study import study
-    from rtrun.plan.question import NO_DEADLINE, Question
+    from rtrun.plan.question import Question
     from rtrun.report import page
     from rtrun.report.contents import contents
     from rtrun.results import run_directory
@@ -72,13 +79,17 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.targets.config import parse_target, read_target
     from rtrun.targets.inspection import rt_readiness
 
+    if args.thread and (args.suite or args.middleware or args.policy or args.suites):
+        raise UsageError(
+            "--thread measures a program that runs: leave out --suite, --suites, --middleware and --policy"
+        )
     data = _target(args)
     file = run_directory.unused_results(args.results) / "target.yml" if data else Path(args.target)
     config = parse_target(data, args.target or "quick") if data else read_target(file)
     print_status(f"asking {config.name} what it is")
     with linked(config, file.parent) as link:
         findings = rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.read_facts(link))
-        campaign = _campaign(link, args)
+        campaign = _observing(link, args) if args.thread else _campaign(link, args)
     print_status("")
     results = run_directory.make_new_results(args.results)
     set_latest(results)
@@ -88,20 +99,20 @@ def run(args: argparse.Namespace) -> int:
     with beside_the_answer(args.json):
         statuses = measure_made(campaign, TargetFile(config=config, folder=file.parent), results)
     print_status("writing the report")
-    asked = NO_DEADLINE
-    if args.deadline:
-        asked = Question(deadline_ns=args.deadline, probability=ASKED[0])
+    # A loop's deadline is of that stream alone, in the campaign.
+    asked = Question(deadline_ns=None if args.thread else args.deadline, probability=ASKED[0])
     examined = study(results, asked)
     report, written = results / "report.html", contents(examined)
     atomic.write_named(report, page.html(examined, written).encode("utf-8", "replace"))
     print_status("")
     if args.json:
-        print_json(_as_data(examined, written, findings, results) | {"runs": statuses})
+        asked_for = {"deadline_ns": args.deadline, "runs": statuses}
+        print_json(_as_data(examined, written, findings, results, args.thread) | asked_for)
     else:
-        _print(examined, written, findings, results, file)
+        _print(examined, written, findings, results, file, args.thread)
     with beside_the_answer(args.json):
         status = print_failed(statuses)
-        if config.kind == "local" and args.policy is None and campaign["common"]["policy"] == NO_REAL_TIME:
+        if config.kind == "local" and campaign.get("common") == {"policy": NO_REAL_TIME} and args.policy is None:
             print_line(f"to measure with real-time priorities, and trace late values: {_as_root()}")
         print_line(f"report: {report}")
     return status
@@ -163,6 +174,13 @@ def _campaign(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
     )
 
 
+def _observing(link: "Link", args: argparse.Namespace) -> dict[str, Any]:
+    """What to observe on the target."""
+    from rtrun.plan import quick
+
+    return quick.observing(args.thread, deadline_ns=args.deadline, for_ns=args.for_ns, is_traced=_can_trace(link))
+
+
 def _as_root() -> str:
     """The call of this program once more, by sudo, which has a PATH of its own."""
     import shlex
@@ -187,8 +205,10 @@ def _why_no_p(group: "Group") -> str | None:
     return verdict.refused or (f"{verdict.change.what}: {verdict.change.text}" if verdict.change else None)
 
 
-def _as_data(study: "Study", written: "Contents", findings: "list[CheckResult]", results: Path) -> dict[str, Any]:
-    """What `_print` prints, as docs/formats.md describes it."""
+def _as_data(
+    study: "Study", written: "Contents", findings: "list[CheckResult]", results: Path, loop: str | None
+) -> dict[str, Any]:
+    """What `_print` prints, as docs/formats.md describes it, but for what was asked for."""
     from rtrun.judgement.digest import pool_figures
     from rtrun.targets.inspection import rt_readiness
 
@@ -202,12 +222,12 @@ def _as_data(study: "Study", written: "Contents", findings: "list[CheckResult]",
             "worst_ns": verdict.worst_ns if verdict else pool_figures(group.digests).max_ns,
         }
         for group in study.groups
+        if _is_asked_for(group, loop)
     ]
     return {
         "schema": 1,
         "platform": study.platform,
         "results": str(results),
-        "deadline_ns": study.question.deadline_ns,
         "confidence": study.question.confidence,
         "groups": groups,
         "left_out": study.left_out,
@@ -216,7 +236,22 @@ def _as_data(study: "Study", written: "Contents", findings: "list[CheckResult]",
     }
 
 
-def _print(study: "Study", written: "Contents", findings: "list[CheckResult]", results: Path, target: Path) -> None:
+def _is_asked_for(group: "Group", loop: str | None) -> bool:
+    """Whether figures of a group are shown: of all, or of the named loop."""
+    from rtrun.kinds.known import STREAMS
+
+    kinds = [kind for kind in STREAMS.values() if kind.suite == group.suite and kind.named_by == "program"]
+    return loop is None or any(kind.is_named(loop, group.parameters) for kind in kinds)
+
+
+def _print(
+    study: "Study",
+    written: "Contents",
+    findings: "list[CheckResult]",
+    results: Path,
+    target: Path,
+    loop: str | None,
+) -> None:
     """What was late and how often, how often it may be late, what prevents real time, and how to go on."""
     import shlex
 
@@ -231,17 +266,18 @@ def _print(study: "Study", written: "Contents", findings: "list[CheckResult]", r
 
     call = as_called("rtrun")
     print_banner(study.platform, study.preempt_rt)
-    made = written.scenarios
-    if study.question.deadline_ns or not made:
-        print_line(sentences.headline(study, made))
-        console().print(sentences.lines(study, made))
-    else:
-        print_figures(study.groups)
+    answered = [scenario for scenario in written.scenarios if scenario.group.question]
+    without_deadline = [group for group in study.groups if group.question is None and _is_asked_for(group, loop)]
+    if answered or not without_deadline:
+        print_line(sentences.headline(study, answered))
+        console().print(sentences.lines(study, answered))
+    print_figures(without_deadline)
+    if without_deadline and not answered:
         print_line("without a deadline there are figures and no answer: ask with --deadline TIME, as --deadline 1ms")
     for text in study.left_out:
         print_line(f"not analysed: {text}")
-    for probability in ASKED if made and study.question.deadline_ns else ():
-        answers = [answer_to(each.group, probability) for each in made]
+    for probability in ASKED if answered else ():
+        answers = [answer_to(scenario.group, probability) for scenario in answered]
         print_line(sentences.answers_in_words(answers, one_in(probability)))
     if written.why_late:
         print_line(f"why it was late: {written.why_late}")

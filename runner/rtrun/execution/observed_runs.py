@@ -36,16 +36,15 @@ def write(
     room: Path,
     troubles: Sequence[str] = (),
 ) -> RunRecord:
-    """Write a run for each stream next to `folder`, and one for each deadline whose stream was not seen.
+    """Write a run for each stream next to `folder`, and one for each that was asked for and not seen.
 
     `record` is the record of the observing run, with its outcome; `partial` is filled with what was placed and found.
     `state` is the state of the target, `room` is freed for the observation's own files, and `troubles` came after the
-    observation. Returns the closing record. The run has failed if no stream with a deadline was seen. It is incomplete
-    if something ended it early, or the disk does not take all of it. If it is ok, its reason tells what it has not
-    seen. Raises InfrastructureError if not even the observation's own files can be written.
+    observation. Returns the closing record. The run has failed if no stream that was asked for was seen. It is
+    incomplete if something ended it early, or the disk does not take all of it. If it is ok, its reason tells what it
+    has not seen. Raises InfrastructureError if not even the observation's own files can be written.
     """
     assert isinstance(run.subject, ObservationPlan)
-    deadlines = run.subject.deadlines
     record = record.model_copy(
         update={
             "programs": [*record.programs, *map(_program, result.programs)],
@@ -59,17 +58,19 @@ def write(
     )
     if record.status is RunStatus.OK and result.coverage.in_words:
         record = record.model_copy(update={"reason": result.coverage.in_words})
+    facts = StreamFacts(
+        record=record.model_copy(update={"attempt": "", "observed_by": record.run}),
+        state=state,
+        start_time=result.start_time,
+        end_time=result.end_time,
+        deadlines=run.subject.deadlines,
+        programs=functools.partial(_programs, result),
+        trace=run.trace,
+        loops=run.subject.named_loops,
+    )
     written = write_streams(
         folder,
-        StreamFacts(
-            record=record.model_copy(update={"attempt": "", "observed_by": record.run}),
-            state=state,
-            start_time=result.start_time,
-            end_time=result.end_time,
-            deadlines=deadlines,
-            programs=functools.partial(_programs, result),
-            trace=run.trace,
-        ),
+        facts,
         streams(result.flows),
         result.late.streams if result.late else {},
         keeps_what_fits=True,
@@ -82,7 +83,7 @@ def write(
         reason = "; ".join(filter(None, (record.reason, result.broken, more)))
         record = record.model_copy(update={"status": RunStatus.INCOMPLETE, "reason": reason})
     unseen = written.unseen
-    if unseen and len(unseen) == len(deadlines) and record.status in (RunStatus.OK, RunStatus.INCOMPLETE):
+    if unseen and len(unseen) == len(facts.asked_for) and record.status in (RunStatus.OK, RunStatus.INCOMPLETE):
         reasons = [*([record.reason] if record.reason else []), *unseen]
         record = record.model_copy(update={"status": RunStatus.FAILED, "reason": "; ".join(reasons)})
     write_graph(

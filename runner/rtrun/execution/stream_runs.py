@@ -17,7 +17,10 @@ from rtrun.execution import clock_record
 from rtrun.execution.late_values import LateValue, LateValues
 from rtrun.execution.observation import defect_in_words
 from rtrun.flows.values import Stream, typical_step
+from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.known import STREAMS
 from rtrun.kinds.lateness import is_late
+from rtrun.kinds.loop import STREAM as LOOP
 from rtrun.kinds.values import Int64s
 from rtrun.plan.observation import StreamDeadline
 from rtrun.plan.run import UNTRACED
@@ -43,7 +46,7 @@ class StreamFacts:
 
     `record` is the record of the run that has the streams, `trace` the limit above which it kept traces of them.
     `parameters` tell them from the streams of another run. `programs` takes the parameters of a stream and the keys of
-    those that name programs, and finds these programs.
+    those that name programs, and finds these programs. `loops` are named without a deadline.
     """
 
     record: RunRecord
@@ -54,6 +57,14 @@ class StreamFacts:
     programs: Callable[[Mapping[str, Value], Sequence[str]], Sequence[ProgramRecord]]
     parameters: Mapping[str, Value] = field(default_factory=dict)
     trace: str = ""
+    loops: Sequence[str] = ()
+
+    @property
+    def asked_for(self) -> tuple[tuple[StreamKind, str], ...]:
+        """Kind and name of each stream that is asked for: it has a deadline, or is a loop that is named."""
+        of_deadlines = ((deadline.kind, deadline.name) for deadline in self.deadlines)
+        asked = dict.fromkeys((*of_deadlines, *((LOOP.word, name) for name in self.loops)))
+        return tuple((STREAMS[kind], name) for kind, name in asked)
 
     def deadline_ns(self, output: ObservedOutput) -> int | None:
         """The deadline of a stream; None: it has none."""
@@ -64,8 +75,8 @@ class StreamFacts:
 class WrittenStreams:
     """What was not written, one sentence each.
 
-    `left_out` tells what is missing in streams, `not_kept` the streams that could not be written, `unseen` the
-    deadlines whose stream was not seen.
+    `left_out` tells what is missing in streams, `not_kept` the streams that could not be written, `unseen` those that
+    were asked for and not seen.
     """
 
     left_out: tuple[str, ...]
@@ -81,7 +92,7 @@ def write_streams(
     *,
     keeps_what_fits: bool = False,
 ) -> WrittenStreams:
-    """Write a run for each stream next to `folder`, and a failed one for each deadline whose stream was not seen.
+    """Write a run for each stream next to `folder`, and a failed one for each that was asked for and not seen.
 
     `late` has the late values of each stream by its source. Raises InfrastructureError if a run cannot be written. With
     `keeps_what_fits` it goes on instead: an observation cannot be measured again, and a defect of ours in one stream is
@@ -116,19 +127,22 @@ def write_streams(
         with _noting(noted, _in_words(stream)):
             _write_run(_beside(folder, output, facts.parameters, names), facts, output)
     unseen: list[str] = []
-    for deadline in facts.deadlines:
-        if not any(deadline.is_of(output.suite, output.parameters) for output in outputs):
-            why = (text for stream, text in without_value if deadline.is_of(stream.kind.suite, stream.identity))
-            reason = f"{deadline.kind} {deadline.name}: {next(why, None) or _not_seen(deadline, outputs)}"
+    for kind, name in facts.asked_for:
+        alike = [output for output in outputs if output.suite == kind.suite]
+        if not any(kind.is_named(name, output.parameters) for output in alike):
+            why = (
+                text for stream, text in without_value if stream.kind is kind and kind.is_named(name, stream.identity)
+            )
+            reason = f"{kind.word} {name}: {next(why, None) or _not_seen(kind, alike)}"
             unseen.append(reason)
             nothing = ObservedOutput(
-                suite=deadline.stream.suite,
-                parameters={deadline.stream.named_by: deadline.name, **facts.parameters},
+                suite=kind.suite,
+                parameters={kind.named_by: name, **facts.parameters},
                 columns={},
                 asked=0,
                 measured=0,
             )
-            with _noting(noted, deadline.name):
+            with _noting(noted, name):
                 _write_run(_beside(folder, nothing, facts.parameters, names), facts, nothing, reason=reason)
     return WrittenStreams(left_out=tuple(left_out), not_kept=tuple(not_kept), unseen=tuple(unseen))
 
@@ -157,11 +171,9 @@ def put_aside(folder: Path) -> None:
                 run_directory.put_aside(path)
 
 
-def _not_seen(deadline: StreamDeadline, outputs: Sequence[ObservedOutput]) -> str:
-    """Say that no stream with this deadline was seen, and which streams of its kind were."""
-    seen = dict.fromkeys(
-        str(output.parameters[deadline.stream.named_by]) for output in outputs if output.suite == deadline.stream.suite
-    )
+def _not_seen(kind: StreamKind, outputs: Sequence[ObservedOutput]) -> str:
+    """Say that a stream was not seen, and which others of its kind were."""
+    seen = dict.fromkeys(str(output.parameters[kind.named_by]) for output in outputs)
     others = f"; seen were {listed(seen, _NAMES_SHOWN)}" if seen else ""
     return f"it was not seen{others}"
 

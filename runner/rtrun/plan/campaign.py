@@ -89,6 +89,8 @@ class Campaign(Config):
     deadlines: list[Annotated[StreamDeadline, BeforeValidator(read_stream_deadline)]] = Field(default_factory=list)
     paths: list[Annotated[tuple[str, ...], BeforeValidator(read_path)]] = Field(default_factory=list)
     """Topics whose reaction time is measured, from the first to the last."""
+    loops: list[str] = Field(default_factory=list)
+    """Programs, or PROGRAM/THREAD, whose loops are observed though they are not real-time and have no deadline."""
 
     @property
     def has_streams(self) -> bool:
@@ -105,8 +107,13 @@ class Campaign(Config):
         """What each run observes; None: the programs of its suite measure."""
         if self.subject is None:
             return None
-        deadlines, paths = tuple(self.deadlines), tuple(self.paths)
-        return ObservationPlan(for_s=self.for_s, system=self.subject, deadlines=deadlines, paths=paths)
+        return ObservationPlan(
+            for_s=self.for_s,
+            system=self.subject,
+            deadlines=tuple(self.deadlines),
+            paths=tuple(self.paths),
+            named_loops=tuple(self.loops),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,6 +341,8 @@ def _check_subject(campaign: Campaign, where: Place, errors: list[str]) -> None:
         errors.append(f"{where / key}: is for campaigns with subject or topology: give one, or leave this out")
     if campaign.subject is not None and campaign.topology is not None:
         errors.append(f"{where / 'topology'}: a campaign has a subject or a topology, not both")
+    if campaign.subject is None and campaign.loops:
+        errors.append(f"{where / 'loops'}: is for campaigns with subject: give one, or leave this out")
     if campaign.until and campaign.subject is not None and not campaign.deadlines:
         errors.append(f"{where / 'until'}: give deadlines: it measures until each is proven or refuted")
     named = [(deadline.kind, deadline.name) for deadline in campaign.deadlines]

@@ -132,7 +132,7 @@ def read_subject(value: object) -> ObservedSystem:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ObservationPlan:
-    """How long to observe (in seconds), what, for which deadlines and paths. Paths of deadlines are followed, too."""
+    """How long to observe (in seconds), what, for which deadlines, paths and loops; those of deadlines are included."""
 
     word: ClassVar[str] = "observation"
     is_observed: ClassVar[bool] = True
@@ -142,11 +142,13 @@ class ObservationPlan:
     system: ObservedSystem = ObservedSystem()
     deadlines: Sequence[StreamDeadline] = ()
     paths: Sequence[tuple[str, ...]] = ()
+    named_loops: Sequence[str] = ()
 
     @property
     def loops(self) -> tuple[str, ...]:
-        """The names of loops that have a deadline."""
-        return tuple(dict.fromkeys(each.name for each in self.deadlines if each.stream in (LOOP, LOOP_RESPONSE)))
+        """The names of loops that are observed besides those of real-time threads."""
+        of_deadlines = (deadline.name for deadline in self.deadlines if deadline.stream in (LOOP, LOOP_RESPONSE))
+        return tuple(dict.fromkeys((*self.named_loops, *of_deadlines)))
 
     @property
     def followed(self) -> tuple[tuple[str, ...], ...]:

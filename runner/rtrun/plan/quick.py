@@ -1,10 +1,13 @@
-"""The campaign of `rtrun quick`: everything that a target has programs for, within the time that the user gives."""
+"""The campaigns of `rtrun quick`: all that a target has programs for in the time given, or a loop that runs there."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rtrun.kinds.loop import STREAM as LOOP
 from rtrun.plan import suites
+from rtrun.plan.conditions import SAMPLER
 from rtrun.plan.middleware.description import NONE
+from rtrun.plan.observation import ATTACHED, StreamDeadline
 
 NAME = "quick"
 BASELINE = "cyclictest"
@@ -50,6 +53,25 @@ def campaign(
     if traced is not None and traced_above_ns is not None:
         runs[names.index(traced)]["trace"] = {"above": f"{max(1, traced_above_ns // 1000)}us"}
     return {"schema": 1, "name": NAME, "common": {"policy": policy}, "runs": runs}
+
+
+def observing(loop: str, *, deadline_ns: int | None, for_ns: int, is_traced: bool) -> dict[str, Any]:
+    """A campaign, in the form of its file, that observes the loop of a program, or PROGRAM/THREAD, that runs already.
+
+    With `is_traced` and a deadline it is observed for half of the time without, then with the kernel's trace of late
+    values.
+    """
+    deadlines = [] if deadline_ns is None else [StreamDeadline(kind=LOOP.word, name=loop, deadline_ns=deadline_ns).text]
+    traced = {"trace": {"above": f"{max(1, deadline_ns // 1000)}us"}} if is_traced and deadline_ns is not None else {}
+    return {
+        "schema": 1,
+        "name": NAME,
+        "subject": ATTACHED,
+        "for": f"{for_ns // (2 if traced else 1)}ns",
+        "loops": [loop],
+        "deadlines": deadlines,
+        "runs": [{SAMPLER: "none"} | traced],
+    }
 
 
 def _run(name: str, middlewares: list[str], share_s: float) -> dict[str, Any]:
