@@ -251,15 +251,15 @@ def _combinations(
     settings = conditions.conditions().settings
     keys = (*_given(takes), *([] if observation is None else ["trace"]), "condition", "repeats", *settings)
     if refused := [key for key in entry if key not in ("suite", *keys)]:
-        of = f"a run with {'subject' if observation else 'topology'}" if campaign.has_streams else entry["suite"]
+        taker = f"a run with {'subject' if observation else 'topology'}" if campaign.has_streams else entry["suite"]
         allowed = keys if campaign.has_streams else ("suite", *keys)
-        errors.append(_unknown_keys(where, refused, allowed, f"{of} takes"))
+        errors.append(_unknown_keys(where, refused, allowed, f"{taker} takes"))
     merged = campaign.common | entry | (overrides or {})
     axes = {key: _axis(where / key, key, merged[key], errors) for key in merged if key in keys}
     through = [str(value) for value in axes.get("middleware", [suite.middleware])]
     for unused in [key for key in takes if key in entry and not any(_is_taken(key, name) for name in through)]:
-        of = ", ".join(name for name in middlewares() if suites.options()[unused].is_taken_through(name))
-        errors.append(f"{where / unused}: is for middleware {of}, and this run's is {', '.join(through)}")
+        its_middlewares = ", ".join(name for name in middlewares() if suites.options()[unused].is_taken_through(name))
+        errors.append(f"{where / unused}: is for middleware {its_middlewares}, and this run's is {', '.join(through)}")
     repeats = axes.pop("repeats", [1])
     if len(repeats) > 1:
         errors.append(f"{where / 'repeats'}: one whole number, not a list")

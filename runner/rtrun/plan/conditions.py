@@ -117,7 +117,7 @@ def check(key: str, value: object, where: str) -> Value:
 def needs(name: str, settings: Mapping[str, Value]) -> set[str]:
     """What the target must have for a condition, as missing.sh takes it: tools, and settings as ``key=value``."""
     loads = conditions().conditions[name].loads.values()
-    tools = {each.argv[0] for each in loads if not each.argv[0].startswith("{")}
+    tools = {load.argv[0] for load in loads if not load.argv[0].startswith("{")}
     tools |= {"taskset"} if loads and settings.get("load_cpu") else set()
     return tools | {f"{key}={settings[key]}" for key in conditions().pinned if settings.get(key)}
 
@@ -130,7 +130,7 @@ def middleware_of_loads(name: str) -> str:
 def suites_programs(name: str) -> set[str]:
     """The suites' own executables that a condition starts."""
     loads = conditions().conditions[name].loads.values()
-    return {each.argv[0].strip("{}") for each in loads if each.argv[0].startswith("{")}
+    return {load.argv[0].strip("{}") for load in loads if load.argv[0].startswith("{")}
 
 
 def background(
@@ -159,7 +159,9 @@ def background(
         "messages": round(int(settings.get("nodes_hz") or 1) * (MESSAGES_FACTOR * expected_s + MESSAGES_EXTRA_S)),
     }
 
-    def of(program: str, argv: Strings, *, number: int = 0, workers: str = "0", is_load: bool = False) -> Background:
+    def planned(
+        program: str, argv: Strings, *, number: int = 0, workers: str = "0", is_load: bool = False
+    ) -> Background:
         given = ("taskset", "-c", load_cpus, *argv) if is_load and load_cpus else argv
         filled = [word.format_map(words | {"name": program, "number": number}) for word in given]
         return Background(
@@ -168,11 +170,11 @@ def background(
             is_load=is_load,
         )
 
-    started = [of(f"hold-{key}", argv) for key, argv in conditions().pinned.items() if settings.get(key)]
+    started = [planned(f"hold-{key}", argv) for key, argv in conditions().pinned.items() if settings.get(key)]
     for program, described in conditions().conditions[name].loads.items():
         numbers = range(int(settings[described.repeated] or 0)) if described.repeated else [None]
         started += [
-            of(
+            planned(
                 program if number is None else f"{program}{number}",
                 described.argv,
                 number=number or 0,

@@ -29,9 +29,9 @@ def stream_words(suite: str, parameters: "Mapping[str, Value]") -> "tuple[str, d
     kind = next((kind for kind in STREAMS.values() if kind.suite == suite), None)
     if kind is None:
         return "", dict(parameters)
-    words, told = kind.in_words(parameters)
+    words, named = kind.in_words(parameters)
     # In an observation it goes without saying that no sampler runs.
-    return words, {key: value for key, value in parameters.items() if key not in told and (key, value) != _NO_SAMPLER}
+    return words, {key: value for key, value in parameters.items() if key not in named and (key, value) != _NO_SAMPLER}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -153,5 +153,5 @@ class ObservationPlan:
     @property
     def followed(self) -> tuple[tuple[str, ...], ...]:
         """Every path that is followed, without duplicates."""
-        of_deadlines = (tuple(each.name.split(",")) for each in self.deadlines if each.stream is PATH)
+        of_deadlines = (tuple(deadline.name.split(",")) for deadline in self.deadlines if deadline.stream is PATH)
         return tuple(dict.fromkeys((*self.paths, *of_deadlines)))

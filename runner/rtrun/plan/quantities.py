@@ -57,7 +57,7 @@ def read_days(text: object) -> int | None:
 
 def time_text(time_ns: int) -> str:
     """A time as a whole number in the largest possible unit, as `read_time_ns` reads it."""
-    unit, unit_ns = max(((name, ns) for name, ns in _UNITS_NS.items() if not time_ns % ns), key=lambda each: each[1])
+    unit, unit_ns = max(((name, ns) for name, ns in _UNITS_NS.items() if not time_ns % ns), key=lambda pair: pair[1])
     return f"{time_ns // unit_ns}{unit}"
 
 

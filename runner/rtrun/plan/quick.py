@@ -24,11 +24,11 @@ _ORDER = ("cyclic", "oneshot", "messages")
 
 def measurable(programs: Mapping[str, str], middleware: str) -> list[str]:
     """The suites that a target can measure through a middleware, from the paths of its programs by name."""
-    known = {name: one for name, one in suites.suites().suites.items() if one.kind in _ORDER}
+    known = {name: suite for name, suite in suites.suites().suites.items() if suite.kind in _ORDER}
     found = [
         name
-        for name, one in known.items()
-        if all(suites.executable(name, program, {"middleware": middleware}) in programs for program in one.programs)
+        for name, suite in known.items()
+        if all(suites.executable(name, program, {"middleware": middleware}) in programs for program in suite.programs)
     ]
     return sorted(found, key=lambda name: _ORDER.index(str(known[name].kind)))
 

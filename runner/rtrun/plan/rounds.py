@@ -32,7 +32,7 @@ def plan_round(groups: Iterable[Run], number: int, seed: int) -> tuple[Run, ...]
     """The runs of a round in their order, one per group; an even round is the round before it, reversed."""
     groups = list(groups)
     numbers = {number, number - (number % 2 == 0)}
-    runs = interleave([run_in_round(group, each) for each in numbers for group in groups], seed)
+    runs = interleave([run_in_round(group, round_number) for round_number in numbers for group in groups], seed)
     return tuple(run for run in runs if run.repeat == number)
 
 

@@ -179,11 +179,11 @@ def digest_of(runs: Sequence[Run]) -> str:
 
 def _canonical(run: Run) -> dict[str, Any]:
     form: dict[str, Any] = {}
-    for each in fields(run):
-        value = getattr(run, each.name)
-        default = each.default_factory() if each.default_factory is not MISSING else each.default
+    for attribute in fields(run):
+        value = getattr(run, attribute.name)
+        default = attribute.default_factory() if attribute.default_factory is not MISSING else attribute.default
         if value != default:
-            name = run.subject.word if each.name == "subject" else each.name
+            name = run.subject.word if attribute.name == "subject" else attribute.name
             form[name] = dict(value) if isinstance(value, Mapping) else _plain(value)
     form["parameters"] = _without_defaults(run.parameters, suites.defaults_of(run.suite))
     settings = {key: option.default for key, option in conditions.conditions().settings.items()}
@@ -194,9 +194,9 @@ def _canonical(run: Run) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     """A value in the form of JSON, without fields at their default."""
     if is_dataclass(value) and not isinstance(value, type):
-        set_ = (each for each in fields(value) if getattr(value, each.name) != each.default)
-        return {each.name: _plain(getattr(value, each.name)) for each in set_}
-    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+        set_ = (attribute for attribute in fields(value) if getattr(value, attribute.name) != attribute.default)
+        return {attribute.name: _plain(getattr(value, attribute.name)) for attribute in set_}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _without_defaults(values: Mapping[str, suites.Value], defaults: Mapping[str, suites.Value]) -> dict[str, Any]:

@@ -36,18 +36,18 @@ def _parse(expression: str) -> _Chosen:
         return found
 
     def both() -> _Chosen:
-        found = one()
+        found = operand()
         while words[:1] == ["and"]:
             del words[0]
-            found = _joined(all, found, one())
+            found = _joined(all, found, operand())
         return found
 
-    def one() -> _Chosen:
+    def operand() -> _Chosen:
         if not words or words[0] in ("and", "or", ")"):
             raise wrong()
         word = words.pop(0)
         if word == "not":
-            inner = one()
+            inner = operand()
             return lambda name: not inner(name)
         if word == "(":
             inner = either()
@@ -63,5 +63,5 @@ def _parse(expression: str) -> _Chosen:
     return found
 
 
-def _joined(of: Callable[[Sequence[bool]], bool], first: _Chosen, second: _Chosen) -> _Chosen:
-    return lambda name: of([first(name), second(name)])
+def _joined(combine: Callable[[Sequence[bool]], bool], first: _Chosen, second: _Chosen) -> _Chosen:
+    return lambda name: combine([first(name), second(name)])

@@ -18,7 +18,7 @@ def tell_apart(all_words: Sequence[tuple[str, Mapping[str, Value]]]) -> list[str
     for what, parameters in all_words:
         alike.setdefault(what, []).append(parameters)
     differ = {
-        what: {key for each in all_of for key in each if len({str(one.get(key)) for one in all_of}) > 1}
+        what: {key for parameters in all_of for key in parameters if len({str(other.get(key)) for other in all_of}) > 1}
         for what, all_of in alike.items()
     }
     return [

@@ -167,9 +167,9 @@ class Suite(Config):
         """Every parameter that one of the programs takes, each once, in the order of suites.yml."""
         return tuple(dict.fromkeys(key for keys in self.programs.values() for key in keys))
 
-    def judged(self, of: Measure | None) -> Measure:
+    def judged(self, measure: Measure | None) -> Measure:
         """The values that a question is about. Raises UsageError if the suite does not measure them."""
-        return judged(self.measures, of)
+        return judged(self.measures, measure)
 
 
 class Suites(Config):
@@ -220,8 +220,8 @@ def described_suites() -> dict[str, Suite]:
     return suites().suites | baselines().suites | observed().suites
 
 
-def _check_options(of: Suites, known: Mapping[str, Option]) -> None:
-    for name, described in of.suites.items():
+def _check_options(listed: Suites, known: Mapping[str, Option]) -> None:
+    for name, described in listed.suites.items():
         for key in described.parameters:
             if key not in known:
                 raise UsageError(f"suites.{name}: {unknown('option', key, known=known)}")
@@ -241,7 +241,7 @@ def options() -> dict[str, Option]:
 def find_suite(name: str) -> Suite | None:
     """The suite or baseline of this name, or what is observed; None for one that is not known."""
     # Only the files that are needed to find the name are read.
-    return next((of().suites[name] for of in (suites, baselines, observed) if name in of().suites), None)
+    return next((load().suites[name] for load in (suites, baselines, observed) if name in load().suites), None)
 
 
 def kind_of(name: str) -> MeasurementKind | None:

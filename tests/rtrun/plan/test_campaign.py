@@ -155,9 +155,9 @@ def test_plan_alone_lists_the_shipped_campaigns_and_what_each_is_for(capsys):
     assert max(map(len, printed.splitlines())) <= 100
     assert main(["plan", "--json"]) == 0
     campaigns = json.loads(capsys.readouterr().out)["campaigns"]
-    for (name, first), told in zip(listed, campaigns, strict=True):
-        assert told["campaign"] == name and told["purpose"].startswith(first) and "#" not in told["purpose"]
-        assert told["purpose"].split()[-1] in (CAMPAIGNS / f"{name}.yml").read_text().partition("schema:")[0]
+    for (name, first), campaign in zip(listed, campaigns, strict=True):
+        assert campaign["campaign"] == name and campaign["purpose"].startswith(first) and "#" not in campaign["purpose"]
+        assert campaign["purpose"].split()[-1] in (CAMPAIGNS / f"{name}.yml").read_text().partition("schema:")[0]
     for words in (["-k", "cyclic"], ["-k", ""], ["--assume-rate", "0.1"]):
         assert main(["plan", *words]) == 2
         assert "of which campaign?" in capsys.readouterr().err

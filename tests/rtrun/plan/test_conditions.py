@@ -26,10 +26,10 @@ LOADS = [name for name, condition in conditions.conditions().conditions.items() 
 
 @pytest.mark.parametrize("name", LOADS)
 def test_a_load_outlives_the_suite(name):
-    for each in background(name):
-        assert each.is_load
-        assert each.program.deadline_s == 620 + conditions.OUTLIVE_S
-        words = each.program.argv
+    for load in background(name):
+        assert load.is_load
+        assert load.program.deadline_s == 620 + conditions.OUTLIVE_S
+        words = load.program.argv
         if words[0] == "stress-ng":
             # With 0, for no end, --timer ends by itself after some seconds.
             assert words[words.index("--timeout") + 1] == "920"
@@ -37,8 +37,8 @@ def test_a_load_outlives_the_suite(name):
 
 def test_nodes_send_for_longer_than_the_suite_measures():
     listener, talker = background("nodes", nodes_hz=10)
-    for each in (listener, talker):
-        words = each.program.argv
+    for load in (listener, talker):
+        words = load.program.argv
         assert words[words.index("-r") + 1] == str(10 * (2 * 100 + 120))
 
 
@@ -61,7 +61,7 @@ def test_cyclictest_keeps_idle_cpus_awake_unless_it_is_told_not_to():
     assert "--latency=0" in words and "--laptop" not in words
     for value, word in ((None, "--laptop"), (7, "--latency=7")):
         words = argv("cyclictest", "cyclictest", {"cpu_dma_latency_us": value})
-        assert [each for each in words if each.startswith("--la")] == [word]
+        assert [word for word in words if word.startswith("--la")] == [word]
     assert not [word for word in words if "idle-state" in word], "older ones do not know it"
     words = argv("cyclictest", "cyclictest", {"cpu_dma_latency_us": None, "deepest_idle_state": -1})
     assert words[-2:] == ["--laptop", "--deepest-idle-state=-1"]

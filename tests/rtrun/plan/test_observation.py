@@ -35,7 +35,7 @@ def test_each_run_observes_the_same_under_its_condition(tmp_path):
     (plan,) = {json.dumps(run.subject.followed) for run in runs}
     assert plan == '[["/a", "/x"]]'
     assert runs[0].subject.system == ObservedSystem(start="ros2 launch a b.py", ready_topic="/x")
-    assert [each.text for each in runs[0].subject.deadlines] == ["messages:/x=5000000ns", "timer:/n=1000000ns"]
+    assert [deadline.text for deadline in runs[0].subject.deadlines] == ["messages:/x=5000000ns", "timer:/n=1000000ns"]
 
 
 def test_what_is_observed_tells_one_campaign_from_another(tmp_path):

@@ -91,7 +91,7 @@ def test_deadlines_of_the_file_and_of_the_campaign_are_those_of_the_run(tmp_path
     further += "paths: ['/imu,/state,/cmd']\n"
     _, runs = read_campaign(campaign(tmp_path, further + RUNS))
     plan = runs[0].subject
-    assert [each.text for each in plan.deadlines] == [
+    assert [deadline.text for deadline in plan.deadlines] == [
         "response:/control=2000000ns",  # 5 ms in the topology
         "path:/points,/objects,/state,/cmd=120000000ns",
         "age:/points,/objects,/state,/cmd=150000000ns",
@@ -216,15 +216,17 @@ def test_what_is_activated_more_often_than_can_be_kept_is_refused(tmp_path, line
 @pytest.mark.parametrize("sink", ["", "sink: {inputs: [/t0]}"])
 def test_a_graph_with_more_paths_than_can_be_looked_at_is_planned(tmp_path, sink, capsys):
     """Each of 24 nodes takes what all the others send: 10**23 ways lead through them, and none or many to an end."""
-    dense = [f"n{one}: {{period: 10ms, inputs: [{', '.join(f'/t{two}' for two in range(24) if two != one)}, /s], "
-             f"outputs: [/t{one}]}}" for one in range(24)]  # fmt: skip
+    dense = [f"n{node}: {{period: 10ms, inputs: [{', '.join(f'/t{peer}' for peer in range(24) if peer != node)}, /s], "
+             f"outputs: [/t{node}]}}" for node in range(24)]  # fmt: skip
     path = campaign(tmp_path, graph=nodes("source: {period: 1ms, outputs: [/s]}", *dense, *filter(None, [sink])))
     assert main(["plan", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert ("no source leads to a sink" in said) == (not sink)
-    assert bool(re.search(r"these are the longest of \d+ found from source to sink", said)) == bool(sink)
+    printed = capsys.readouterr().out
+    assert ("no source leads to a sink" in printed) == (not sink)
+    assert bool(re.search(r"these are the longest of \d+ found from source to sink", printed)) == bool(sink)
     paths = read_campaign(path)[1][0].subject.paths
-    assert len(paths) == (32 if sink else 0) and all(len({*one.nodes}) == len(one.nodes) for one in paths)
+    assert len(paths) == (32 if sink else 0) and all(
+        len({*node_path.nodes}) == len(node_path.nodes) for node_path in paths
+    )
 
 
 def test_a_probe_sees_no_response(tmp_path):
@@ -294,14 +296,14 @@ def drawn(topology):
 def test_plan_draws_each_arrow_once_and_says_what_each_cpu_is_asked_for(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "140")
     assert main(["plan", str(campaign(tmp_path))]) == 0
-    said = capsys.readouterr().out
-    assert "lidar ─/points→ detect ─/objects→ fuse ─/state→ control ─/cmd→ brake\nimu ─/imu→ fuse\n" in said
+    printed = capsys.readouterr().out
+    assert "lidar ─/points→ detect ─/objects→ fuse ─/state→ control ─/cmd→ brake\nimu ─/imu→ fuse\n" in printed
     assert re.search(
-        r"^fuse +on /objects and /imu, 20/s +500 us, touches 2 MB +1 % +brain/control, FIFO 80", said, re.M
+        r"^fuse +on /objects and /imu, 20/s +500 us, touches 2 MB +1 % +brain/control, FIFO 80", printed, re.M
     )
-    assert re.search(r"^control +every 10 ms, newest of /state ", said, re.M)
-    assert "CPU 0: 4 % of a CPU asked for: lidar\nCPUs 0-1: 30 % of a CPU asked for: detect\nany CPU: 12 %" in said
-    assert "path lidar > detect > fuse > control > brake: reaction 120 ms, age 150 ms\n" in said
+    assert re.search(r"^control +every 10 ms, newest of /state ", printed, re.M)
+    assert "CPU 0: 4 % of a CPU asked for: lidar\nCPUs 0-1: 30 % of a CPU asked for: detect\nany CPU: 12 %" in printed
+    assert "path lidar > detect > fuse > control > brake: reaction 120 ms, age 150 ms\n" in printed
     assert drawn(read_topology(tmp_path / "graph.yml").topology) == arrows(
         read_topology(tmp_path / "graph.yml").topology
     )
@@ -358,7 +360,7 @@ def test_a_graph_of_others_is_read_and_what_has_no_counterpart_is_said(tmp_path)
         "/tick": (250 * 1024, "reliable", 10),
     }
     assert topology.processes == ("others",)
-    said = "\n".join(read.remarks)
+    remarks = "\n".join(read.remarks)
     for part in (
         "in one executor, of which that of the shortest period takes the inputs: camera (15625us, 500ms)",
         "a node takes a topic once: further subscriptions of camera /tick",
@@ -369,7 +371,7 @@ def test_a_graph_of_others_is_read_and_what_has_no_counterpart_is_said(tmp_path)
         "msg_pass_by shared_ptr, 1 times: camera /image",
         "others at the subscribers watcher_1 /image, watcher_2 /image",
     ):
-        assert part in said
+        assert part in remarks
 
 
 X = {"topic_name": "x", "msg_type": "stamped10b"}
@@ -386,7 +388,7 @@ X = {"topic_name": "x", "msg_type": "stamped10b"}
         ({"publishers": [{**X, "period_ms": 0.0001}]}, "period_ms: takes a number from 0.001 up"),
         ({"publishers": 2 * [{**X, "freq_hz": 1}]}, "publishers.1: /x stands there twice: a topic has one publisher"),
         ({"publishers": [{**X, "freq_hz": 1}], "number": 256}, "/x is published by a_1 already"),
-        ({"publishers": [{**X, "freq_hz": one + 1} for one in range(257)]}, "they stand for 257 nodes here"),
+        ({"publishers": [{**X, "freq_hz": number + 1} for number in range(257)]}, "they stand for 257 nodes here"),
         ({"subscribers": [X]}, "inputs.0: no node publishes /x, nor anything"),
         ({"publisher": []}, "nodes.0: unknown key 'publisher', did you mean 'publishers'"),
         ({"servers": [{"service_name": "x", "srv_type": "y"}]}, "services have no counterpart: nothing is left"),

@@ -90,11 +90,11 @@ UNTIL = {"deadline": "400us", "probability": "1e-6", "at_most": "1h"}
 
 
 @pytest.mark.parametrize(
-    ("of", "common", "series"),
+    ("until", "common", "series"),
     [({"of": "jitter"}, {}, "jitter"), ({}, {}, "lateness"), ({"of": "jitter"}, {"trace_of": "lateness"}, "lateness")],
 )
-def test_what_is_judged_is_what_traces_are_of(of, common, series):
-    (run,) = runs_of(CYCLIC, until=UNTIL | of, common=common, order="interleaved", seed=1)
+def test_what_is_judged_is_what_traces_are_of(until, common, series):
+    (run,) = runs_of(CYCLIC, until=UNTIL | until, common=common, order="interleaved", seed=1)
     assert run.parameters["trace_of"] == series
 
 

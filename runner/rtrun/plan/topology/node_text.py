@@ -18,8 +18,8 @@ def process_text(plan: TopologyPlan, process: str) -> str:
 
 def _lines(plan: TopologyPlan, process: str) -> Iterator[str]:
     topology = plan.topology
-    executors = [each for each in topology.executors if each.process == process]
-    executor_numbers = {each.name: number for number, each in enumerate(executors)}
+    executors = [executor for executor in topology.executors if executor.process == process]
+    executor_numbers = {executor.name: number for number, executor in enumerate(executors)}
     nodes = [node for node in topology.nodes if node.executor in executor_numbers]
     topics = list(dict.fromkeys(topic for node in nodes for topic in (*node.inputs, *node.outputs)))
     topic_numbers = {topic: number for number, topic in enumerate(topics)}

@@ -88,9 +88,11 @@ def plan_topology(
     if len(errors) > before:
         return None
     # A deadline of the campaign overrides that of the topology.
-    deadlines = tuple({(each.kind, each.name): each for each in (*own_deadlines(topology), *deadlines)}.values())
-    of_deadlines = (tuple(each.name.split(",")) for each in deadlines if each.stream.is_of_paths)
-    named = dict.fromkeys((*(each.topics for each in topology.paths), *paths, *of_deadlines))
+    deadlines = tuple(
+        {(deadline.kind, deadline.name): deadline for deadline in (*own_deadlines(topology), *deadlines)}.values()
+    )
+    of_deadlines = (tuple(deadline.name.split(",")) for deadline in deadlines if deadline.stream.is_of_paths)
+    named = dict.fromkeys((*(path.topics for path in topology.paths), *paths, *of_deadlines))
     followed = tuple(path for topics in named for path in topology.paths_of(topics))
     if not named:
         longest = sorted(topology.all_paths(), key=lambda path: -len(path.topics))

@@ -42,7 +42,7 @@ def _followed(topology: Topology, of_period: Callable[[TopologyNode], NumberT]) 
     }
     numbers: dict[str, NumberT] = {}
     for name in graphlib.TopologicalSorter(before).static_order():
-        node, come = topology.node[name], [numbers[each] for each in before[name]]
+        node, come = topology.node[name], [numbers[sender] for sender in before[name]]
         if node.waits is Waits.PERIOD:
             numbers[name] = of_period(node)
         else:
@@ -72,9 +72,9 @@ def demands(topology: Topology) -> tuple[CpuDemand, ...]:
     by_cpus: dict[tuple[int, ...], list[Executor]] = {}
     for executor in topology.executors:
         by_cpus.setdefault(executor.cpus, []).append(executor)
-    ordered = sorted(by_cpus.items(), key=lambda each: (not each[0], len(each[0]), each[0]))
+    ordered = sorted(by_cpus.items(), key=lambda item: (not item[0], len(item[0]), item[0]))
     return tuple(
-        CpuDemand(cpus=cpus, executors=tuple(group), share=sum(of_executor[each.name] for each in group))
+        CpuDemand(cpus=cpus, executors=tuple(group), share=sum(of_executor[executor.name] for executor in group))
         for cpus, group in ordered
     )
 
@@ -90,13 +90,13 @@ def overloads(topology: Topology) -> Iterator[str]:
         if of_executor[executor.name] > 1:
             nodes = [node for node in topology.nodes if node.executor == executor.name]
             yield f"executor {executor.name}: one thread is asked for {_asked(nodes, of_node)}"
-    told: list[set[int]] = []
+    reported: list[set[int]] = []
     for cpus in _unions({frozenset(executor.cpus) for executor in topology.executors if executor.cpus}):
-        bound = {each.name for each in topology.executors if each.cpus and cpus.issuperset(each.cpus)}
+        bound = {executor.name for executor in topology.executors if executor.cpus and cpus.issuperset(executor.cpus)}
         asked = sum(of_executor[name] for name in bound)
         # Skip it if a set within it, or its only thread, was reported already.
-        if asked > len(cpus) + _ROUNDING and not any(each <= cpus for each in told):
-            told.append({*cpus})
+        if asked > len(cpus) + _ROUNDING and not any(earlier <= cpus for earlier in reported):
+            reported.append({*cpus})
             nodes = [node for node in topology.nodes if node.executor in bound]
             if len(bound) > 1:
                 yield f"CPU{'s' * (len(cpus) > 1)} {cpus_text(cpus)}: asked for {_asked(nodes, of_node)}"
@@ -118,7 +118,7 @@ def _unions(sets: set[frozenset[int]]) -> Iterator[frozenset[int]]:
     """
     found, new = set(sets), set(sets)
     while new and len(found) < _UNIONS_MAX:
-        new = {one | two for one, two in itertools.product(new, sets) if one & two} - found
+        new = {first | second for first, second in itertools.product(new, sets) if first & second} - found
         found |= new
     yield from sorted(found, key=lambda cpus: (len(cpus), sorted(cpus)))
 

@@ -201,13 +201,13 @@ def _node(name: str, node: NodeEntry) -> TopologyNode:
 
 
 def _topic(name: str, topic: TopicEntry, common: CommonEntry) -> TopologyTopic:
-    said = common.model_dump(include=set(TopicEntry.model_fields), exclude_none=True)
-    said |= topic.model_dump(exclude_none=True)
+    given = common.model_dump(include=set(TopicEntry.model_fields), exclude_none=True)
+    given |= topic.model_dump(exclude_none=True)
     return TopologyTopic(
         name=name,
-        payload_bytes=said.get("payload", 0),
-        reliability=said.get("reliability", "reliable"),
-        depth=said.get("depth", 10),
+        payload_bytes=given.get("payload", 0),
+        reliability=given.get("reliability", "reliable"),
+        depth=given.get("depth", 10),
     )
 
 
@@ -249,12 +249,12 @@ def _disagreements(entry: TopologyEntry, where: Place) -> Iterator[str]:
     for name, node in entry.nodes.items():
         executor = _executor(name, node, entry.common)
         other, known = first.setdefault(executor.name, (name, executor))
-        for key, one, two in (
+        for key, earlier, later in (
             ("policy", known.policy, executor.policy),
             ("priority", known.priority, executor.priority),
             ("cpu", known.cpus, executor.cpus),
         ):
-            if one != two:
+            if earlier != later:
                 place = where / name / (key if getattr(node, key) is not None else "executor")
                 yield f"{place}: {name} and {other} share executor {executor.name}, which is one thread: one {key}"
         if node.process and processes.setdefault(executor.name, node.process) != node.process:

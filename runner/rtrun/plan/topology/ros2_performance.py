@@ -241,7 +241,7 @@ def _remarks_on_ends(named: list[tuple[str, NodeText]]) -> Iterator[str]:
     ends = [(name, end) for name, text in named for end in (*text.publishers, *text.subscribers)]
     for key, fine in _WITHOUT_COUNTERPART.items():
         values = [getattr(end, key) for _, end in ends]
-        for value, number in Counter(each for each in values if each not in fine).items():
+        for value, number in Counter(value for value in values if value not in fine).items():
             at = [f"{name} {end.topic}" for name, end in ends if getattr(end, key) == value]
             yield f"left out, it has no counterpart: {key} {value}, {number} times: {listed(at, _SHOWN)}"
     publishers = {end.topic: end for _, text in named for end in text.publishers}

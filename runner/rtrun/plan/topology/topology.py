@@ -119,17 +119,17 @@ class Topology:
     @functools.cached_property
     def node(self) -> Mapping[str, TopologyNode]:
         """The nodes by name."""
-        return {each.name: each for each in self.nodes}
+        return {node.name: node for node in self.nodes}
 
     @functools.cached_property
     def topic(self) -> Mapping[str, TopologyTopic]:
         """The topics by name."""
-        return {each.name: each for each in self.topics}
+        return {topic.name: topic for topic in self.topics}
 
     @functools.cached_property
     def executor(self) -> Mapping[str, Executor]:
         """The executors by name."""
-        return {each.name: each for each in self.executors}
+        return {executor.name: executor for executor in self.executors}
 
     @functools.cached_property
     def publisher(self) -> Mapping[str, TopologyNode]:
