@@ -144,7 +144,7 @@ def _lacks(link: "Link") -> list[str]:
     except TargetError as error:
         lacks.append(f"something that every campaign needs: {error}")
     else:
-        if equipment.of("roscpp").server is None:
+        if equipment.installed("roscpp").server is None:
             lacks.append("ROS 1: neither /opt/ros/*/bin/rosmaster nor /usr/bin/rosmaster is there")
         needed = {program for each in suites.suites().suites.values() for program in each.programs}
         if missing := sorted(needed - set(equipment.programs)):

@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         "governor": _shown(state.governor, absent="none"),
         "real-time threads": f"{len(state.rt_threads)} of {state.threads}",
         "free on disk": f"{equipment.free_bytes // 2**20} MiB in {target.work_dir}",
-        **{name: _middleware(equipment.of(name), SERVICES[name], runs) for name, runs in services.items()},
+        **{name: _middleware(equipment.installed(name), SERVICES[name], runs) for name, runs in services.items()},
         **{
             name: " or ".join(one.several) or one.version
             for name, one in equipment.middlewares.items()

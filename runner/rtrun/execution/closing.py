@@ -195,7 +195,7 @@ def _record(
             clock=clock_record.record(attempt.before, clock_record.steps_seen(partial, outputs, verdict.records)),
             setup=work.setup,
             **_built_with(work),
-            middleware_version=work.prepared.equipment.of(run.middleware).version,
+            middleware_version=work.prepared.equipment.installed(run.middleware).version,
             **{name: getattr(attempt.before, name) for name in STATED},
         ),
         files={},

@@ -75,7 +75,7 @@ class Prepared:
     def setup_of(self, middleware: str) -> str | None:
         """The shell file that sets up a middleware for its programs; None: nothing does."""
         is_installed = middleware in self.equipment.middlewares
-        return (self.setup or self.equipment.of(middleware).setup) if is_installed else None
+        return (self.setup or self.equipment.installed(middleware).setup) if is_installed else None
 
 
 @contextlib.contextmanager
@@ -116,7 +116,7 @@ def prepared(
             if several := inspection.several_of(target, equipment, name):
                 no_service[name] = several
                 continue
-            service = SERVICES[name].running(link, scripts, equipment.of(name), owner, above, may_run_go_on)
+            service = SERVICES[name].running(link, scripts, equipment.installed(name), owner, above, may_run_go_on)
             try:
                 own_services |= {name} if running.enter_context(service) else set()
             except OUT_OF_REACH:

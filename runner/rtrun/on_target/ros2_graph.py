@@ -47,20 +47,20 @@ def rights(process: Path) -> "tuple[int, int, list[int]]":
     Raises PermissionError where its rights are not those of its caller, who made its environment: as the caller likes
     he would have a Python of another user import what he has written.
     """
-    told = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines() if ":" in line)
-    users, groups = ({int(each) for each in told[key].split()} for key in ("Uid", "Gid"))
+    status = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines() if ":" in line)
+    users, groups = ({int(number) for number in status[key].split()} for key in ("Uid", "Gid"))
     if len(users) > 1 or len(groups) > 1 or is_secure((process / "auxv").read_bytes()):
         raise PermissionError("it was given other rights than its caller has (setuid, setgid, setcap)")
-    return users.pop(), groups.pop(), [int(each) for each in told["Groups"].split()]
+    return users.pop(), groups.pop(), [int(number) for number in status["Groups"].split()]
 
 
 def is_secure(auxv: bytes) -> bool:
     """Whether the kernel gave a program other rights than its caller has, or does not tell: getauxval(3)."""
     page_bytes, secure = 6, 23
     for words in ("QQ", "II"):  # of 64 and 32 bits
-        told: dict[int, int] = dict(struct.iter_unpack(words, auxv[: len(auxv) // 16 * 16]))
-        if told.get(page_bytes) in PAGES_BYTES and secure in told:
-            return told[secure] != 0
+        entries: dict[int, int] = dict(struct.iter_unpack(words, auxv[: len(auxv) // 16 * 16]))
+        if entries.get(page_bytes) in PAGES_BYTES and secure in entries:
+            return entries[secure] != 0
     return True
 
 
@@ -83,7 +83,7 @@ def graph(seconds: float) -> "list[dict[str, object]]":
         )
         if name == NODE:
             continue
-        publishes, takes, serves = ([each for each, _ in ask(name, space)] for ask in asked)
+        publishes, takes, serves = ([topic for topic, _ in ask(name, space)] for ask in asked)
         full = f"{space.rstrip('/')}/{name}"
         nodes.append({"name": full, "publishes": publishes, "takes": takes, "serves": serves})
     return nodes

@@ -70,7 +70,7 @@ def build(link: Link, sources: Path) -> Mapping[str, str]:
     for name in OF_ROS:
         if several := inspection.several_of(target, equipment, name):
             raise TargetError(several)
-    setups = [target.setup] if target.setup else [equipment.of(name).setup for name in OF_ROS]
+    setups = [target.setup] if target.setup else [equipment.installed(name).setup for name in OF_ROS]
     if living := link.check(["sh", "-c", _LIVING_RUNS, "sh", str(target.work_dir)]).split():
         raise TargetError(f"{target.address}: a campaign measures there ({living[0]}): building would disturb it")
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
@@ -106,5 +106,5 @@ def _start(link: Link, scripts: PurePosixPath, folder: PurePosixPath, program: P
 
 def _last_words(link: Link, folder: PurePosixPath) -> str:
     """The error that the script reported."""
-    said = link.run(["tail", "-n", str(SHOWN_LINES), str(folder / f"{NAME}.stderr")]).stdout
-    return said.strip()[:SHOWN_CHARACTERS] or "building the suites was ended before it was done"
+    printed = link.run(["tail", "-n", str(SHOWN_LINES), str(folder / f"{NAME}.stderr")]).stdout
+    return printed.strip()[:SHOWN_CHARACTERS] or "building the suites was ended before it was done"

@@ -298,7 +298,7 @@ def end(link: Link, folder: PurePosixPath, *names: str, stages: str = _PATIENT) 
 def _left(printed: str) -> str:
     """The processes that stay according to `_END`, in words; empty: nothing stays."""
     lines = [match for line in printed.splitlines() if (match := _LEFT.fullmatch(line))]
-    names = [f"{each[2]} ({each[3]}) of {each[1]}" if each[2] else f"hidden ones of {each[1]}" for each in lines]
+    names = [f"{match[2]} ({match[3]}) of {match[1]}" if match[2] else f"hidden ones of {match[1]}" for match in lines]
     if not names:
         return ""
     return f"these processes could not be ended: {listed(names, _LEFT_SHOWN)}: end them on the target"

@@ -52,8 +52,8 @@ def process(
 
 
 def cpus(run: int, idle: int) -> str:
-    each = "".join(f"cpu{cpu} {run if cpu == 5 else 0} 0 0 {idle} 0 0 0 0 0 0\n" for cpu in (0, 1, 4, 5))
-    return f"cpu 1 2 3\n{each}intr 1\n"
+    lines = "".join(f"cpu{cpu} {run if cpu == 5 else 0} 0 0 {idle} 0 0 0 0 0 0\n" for cpu in (0, 1, 4, 5))
+    return f"cpu 1 2 3\n{lines}intr 1\n"
 
 
 NET, CPU, PCI = "sys/class/net", "sys/devices/system/cpu", "sys/bus/pci/devices"
@@ -175,7 +175,9 @@ def test_what_surrounds_a_loop(root: Path, shell: str) -> None:
     assert "20 program a\\nunseen: b" in facts["threads"]
     findings = rt_readiness.judge(rt_readiness.read_checks(), facts)
     assert [
-        (each.check.name, each.evidence) for each in findings if each.status == "unknown" and each.check.absent == "ok"
+        (finding.check.name, finding.evidence)
+        for finding in findings
+        if finding.status == "unknown" and finding.check.absent == "ok"
     ] == []
 
 
@@ -196,7 +198,9 @@ def test_what_cannot_be_seen_is_reported(root: Path) -> None:
     assert facts["faults"] == facts["siblings"] == ["unseen: the target lacks sleep"]
     assert facts["management_interrupts"][0].startswith("unseen: root and the module msr are needed")
     unseen = {
-        each.check.name for each in rt_readiness.judge(rt_readiness.read_checks(), facts) if each.status == "unknown"
+        finding.check.name
+        for finding in rt_readiness.judge(rt_readiness.read_checks(), facts)
+        if finding.status == "unknown"
     }
     assert unseen >= {"page faults", "busy sibling of isolated CPU", "system management interrupts"}
 

@@ -69,11 +69,11 @@ def test_ended_at_any_moment_it_leaves_whole_lines(sampler, tmp_path):
         for number in range(SAMPLERS)
     ]
     wait_until(lambda: any("at " in (tmp_path / f"{number}.out").read_text() for number in range(SAMPLERS)))
-    for each in samplers:
-        os.killpg(each.pid, signal.SIGTERM)
+    for process in samplers:
+        os.killpg(process.pid, signal.SIGTERM)
         time.sleep(0.03)
-    for each in samplers:
-        each.wait(60)
+    for process in samplers:
+        process.wait(60)
     lines = [line for number in range(SAMPLERS) for line in (tmp_path / f"{number}.out").read_text().splitlines()]
     looks = [line.split() for line in lines if line.startswith("at ")]
     assert looks, "some of them had time for a look"
@@ -173,10 +173,12 @@ def test_program_and_script_print_the_same(sampler_program, tmp_path):
         assert "" not in text.splitlines()
     last = observations_in(texts[0])[-1]
     # Of whatever reads names: the whole name is on one line, and a zombie is none.
-    threads = {(each.name, each.priority) for each in parse_state(printed["state.sh"]).rt_threads}
+    threads = {(thread.name, thread.priority) for thread in parse_state(printed["state.sh"]).rt_threads}
     assert threads >= {(BRACKETS, 96), (LINE_END, 96)} and 97 not in {priority for _, priority in threads}
     assert f"96 program {LINE_END}\n" in printed["check_rt.sh"] and "\n97 program" not in printed["check_rt.sh"]
-    assert {(each.name, each.policy, each.priority, each.runtime_ns, each.period_ns) for each in last.rivals} == {
+    assert {
+        (thread.name, thread.policy, thread.priority, thread.runtime_ns, thread.period_ns) for thread in last.rivals
+    } == {
         (LINE_END, "FIFO", 96, None, None),
         (BRACKETS, "FIFO", 96, None, None),
         (" ".join(BLANKS.split()), "RR", 95, None, None),
@@ -210,7 +212,7 @@ def test_program_and_script_count_the_same(sampler_program, tmp_path):
         process.wait(60)
     found = []
     for path in outputs.values():
-        counts = [each.counts.split() for each in observations_in(path.read_text())]
+        counts = [observation.counts.split() for observation in observations_in(path.read_text())]
         assert all(len(words) < COUNTS_MAX for words in counts)
         found.append({word for words in counts for word in words if word[0].isdigit() or word.startswith("NMI")})
     assert found[0] == found[1] and len(found[0]) > 500
@@ -240,6 +242,6 @@ def test_interrupts_of_a_cpu_that_comes_back_online_are_not_new(sampler, tmp_pat
         wait_until(lambda least=seen + 1 + (number > 0): output.read_text().count("\ncounts") >= least)
     process.terminate()
     process.wait(60)
-    words = [word for each in observations_in(output.read_text()) for word in each.counts.split()]
+    words = [word for observation in observations_in(output.read_text()) for word in observation.counts.split()]
     assert [word for word in words if word.startswith(("NMI", "7:"))] == ["NMI=2"]
     assert any(word.startswith("interrupts=") for word in words), "of all CPUs, also those that are offline"

@@ -130,17 +130,17 @@ def test_trees_that_nobody_uses_are_removed_and_their_objects_a_day_later(link, 
 
 def test_a_tree_that_another_runner_has_made_meanwhile_stays(link, tree, monkeypatch):
     """It may be in use: its files are not put there anew, and at no time are they away."""
-    send, made = deploy._send, []
+    send, trees = deploy._send, []
 
     def send_late(*args):
         send(*args)
         monkeypatch.setattr(deploy, "_send", send)
         path = Path(deploy.deploy(link, tree, "suites"))
-        made.append((path, path.stat().st_ino, sorted(path.parent.iterdir())))
+        trees.append((path, path.stat().st_ino, sorted(path.parent.iterdir())))
 
     monkeypatch.setattr(deploy, "_send", send_late)
     path = Path(deploy.deploy(link, tree, "suites"))
-    assert made == [(path, path.stat().st_ino, sorted(path.parent.iterdir()))]
+    assert trees == [(path, path.stat().st_ino, sorted(path.parent.iterdir()))]
 
 
 def test_an_empty_folder_is_an_error(link, tmp_path):

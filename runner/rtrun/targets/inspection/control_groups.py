@@ -125,4 +125,4 @@ def _limits(lines: Sequence[str]) -> dict[str, Any]:
 
 def limits_of(groups: Iterable[ControlGroup], kernel_us: int = KERNEL_RUNTIME_US) -> list[str]:
     """The limits of groups, one line each: group, file, value and unit."""
-    return [f"{one.path}: {limit}" for one in groups for limit in (one.rt_limit(kernel_us), one.quota) if limit]
+    return [f"{group.path}: {limit}" for group in groups for limit in (group.rt_limit(kernel_us), group.quota) if limit]

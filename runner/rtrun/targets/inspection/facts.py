@@ -150,7 +150,7 @@ class Equipment:
     debian: str | None
     """The code name of the target's Debian, such as trixie; None on another system."""
 
-    def of(self, middleware: str) -> Installed:
+    def installed(self, middleware: str) -> Installed:
         """What the target has of a middleware."""
         return self.middlewares.get(middleware, Installed())
 
@@ -179,9 +179,9 @@ def inspect(link: "Link") -> Equipment:
             f"{target.address}: files in {target.work_dir} cannot be locked ({facts['no_locks'][0][:200]}): the runner "
             "needs a kernel with CONFIG_FILE_LOCKING, and a work_dir on a file system that has locks"
         )
-    programs = [*facts.get("program", []), *(path for one in found.values() for path in one.get("program", []))]
+    programs = [*facts.get("program", []), *(path for lines in found.values() for path in lines.get("program", []))]
     return Equipment(
-        middlewares={name: _installed(target, one) for name, one in found.items()},
+        middlewares={name: _installed(target, lines) for name, lines in found.items()},
         programs={PurePosixPath(path).name: path for path in reversed(programs)},
         built_with=_built_with(facts.get("built", [])),
         cpus=_count(facts.get("cpus"), lowest=1, highest=CPUS_MAX),
@@ -224,7 +224,7 @@ def _installed(target: "Target", facts: Mapping[str, Sequence[str]]) -> Installe
 
 def several_of(target: "Target", equipment: Equipment, middleware: str) -> str | None:
     """Say that several of a middleware are installed and the target file selects none; else None."""
-    setups = equipment.of(middleware).several
+    setups = equipment.installed(middleware).several
     several = f"{target.address}: several ROS ({', '.join(setups)}): put one into the target file as ros_setup"
     return several if setups else None
 
@@ -301,7 +301,7 @@ def parse_state(text: str) -> TargetState:
     try:
         return TargetState(**state)
     except ValidationError as error:
-        wrong = {each["loc"][0] for each in error.errors()}
+        wrong = {problem["loc"][0] for problem in error.errors()}
         return TargetState(**{name: value for name, value in state.items() if name not in wrong})
 
 

@@ -100,12 +100,12 @@ def judge(checks: list[Check], facts: dict[str, list[str]]) -> list[CheckResult]
     """Compare facts with checks; findings are in the order of severity, faults first."""
     findings = [_judge(check, facts.get(check.fact, [])) for check in checks]
     order = ("fault", "unknown", "ok")
-    return sorted(findings, key=lambda each: (order.index(each.status), SEVERITIES.index(each.check.severity)))
+    return sorted(findings, key=lambda finding: (order.index(finding.status), SEVERITIES.index(finding.check.severity)))
 
 
 def grave_faults(findings: list[CheckResult]) -> list[CheckResult]:
     """The findings that are fatal or high."""
-    return [each for each in findings if each.status == "fault" and each.check.severity in GRAVE]
+    return [finding for finding in findings if finding.status == "fault" and finding.check.severity in GRAVE]
 
 
 def is_ready(findings: list[CheckResult]) -> bool:

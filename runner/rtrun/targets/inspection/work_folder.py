@@ -20,11 +20,11 @@ def make(link: "Link") -> None:
     """
     folder, address = link.target.work_dir, link.target.address
     # Through standard input: nothing is deployed yet.
-    said = link.check(["sh", "-s", str(folder)], stdin=SCRIPT.read_text(encoding="utf-8"))
-    if not said:
+    refusal = link.check(["sh", "-s", str(folder)], stdin=SCRIPT.read_text(encoding="utf-8"))
+    if not refusal:
         return
     user = address.user if isinstance(address, Address) else "this user"
-    kind, _, why = said[:_SHOWN_CHARACTERS].rstrip().partition(" ")
+    kind, _, why = refusal[:_SHOWN_CHARACTERS].rstrip().partition(" ")
     if kind == "foreign":
         raise TargetError(
             f"{address}: {folder} holds what rtrun did not make ({why}): "

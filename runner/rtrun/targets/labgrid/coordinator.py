@@ -155,19 +155,19 @@ def list_resources(coordinator: str) -> list[OfferedResource]:
         )
         replies = stub.ClientStream(iter(requests), timeout=ANSWER_S)
         for reply in replies:
-            found += [each.resource for each in reply.updates if each.WhichOneof("kind") == "resource"]
+            found += [update.resource for update in reply.updates if update.WhichOneof("kind") == "resource"]
             if reply.HasField("sync") and reply.sync.id == _SYNC:
                 break
         replies.cancel()
     return [
         OfferedResource(
-            exporter=each.path.exporter_name,
-            group=each.path.group_name,
-            kind=each.cls,
-            name=each.path.resource_name,
-            is_available=each.avail,
+            exporter=resource.path.exporter_name,
+            group=resource.path.group_name,
+            kind=resource.cls,
+            name=resource.path.resource_name,
+            is_available=resource.avail,
         )
-        for each in found
+        for resource in found
     ]
 
 
@@ -180,12 +180,12 @@ def allocated(coordinator: str, token: str) -> str | None:
 
 def resources_of(place: LabgridPlace, offered: Sequence[OfferedResource]) -> list[OfferedResource]:
     """The resources that are offered for a place."""
-    return [each for each in offered if any(_fits(pattern, each) for pattern in place.matches)]
+    return [resource for resource in offered if any(_fits(pattern, resource) for pattern in place.matches)]
 
 
 def unoffered(place: LabgridPlace, offered: Sequence[OfferedResource]) -> list[str]:
     """The patterns of a place that no resource offered now fits."""
-    return [pattern for pattern in place.matches if not any(_fits(pattern, each) for each in offered)]
+    return [pattern for pattern in place.matches if not any(_fits(pattern, resource) for resource in offered)]
 
 
 def what_ended(coordinator: str, place: LabgridPlace) -> str:

@@ -158,7 +158,7 @@ def without_quarantine(places: Sequence[LabgridPlace]) -> tuple[list[LabgridPlac
     """The places that are not in quarantine, and why the others are. Raises TargetError if no place is left."""
     healthy = [place for place in places if place.quarantine is None]
     why = "; ".join(
-        f"place {each.name} is in quarantine: {in_words(each.quarantine)}" for each in places if each.quarantine
+        f"place {place.name} is in quarantine: {in_words(place.quarantine)}" for place in places if place.quarantine
     )
     if not healthy:
         raise TargetError(f"{why}; rtrun farm --check ends a quarantine once the board passes")
@@ -262,7 +262,7 @@ def _cancel(client: LabgridClient, tokens: list[str]) -> None:
 
 
 def _holders(places: Sequence[LabgridPlace]) -> str:
-    who = [f"{each.name} is {f'held by {each.holder}' if each.holder else 'reserved'}" for each in places]
+    who = [f"{place.name} is {f'held by {place.holder}' if place.holder else 'reserved'}" for place in places]
     return f"{listed(who, _NAMED_MAX)}: reserved, and waited for"
 
 

@@ -29,7 +29,7 @@ def ssh_service(resources: Mapping[str, Mapping[str, Any]], place: str) -> SshSe
     try:
         return SshService.model_validate(resources["NetworkService"])
     except ValidationError as error:
-        wrong = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
+        wrong = "; ".join(f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}" for problem in error.errors())
         raise TargetError(f"place {place}: NetworkService: {wrong}") from error
 
 

@@ -21,16 +21,16 @@ def watching(client: LabgridClient, name: str, notify: Callable[[str], None], *,
     ended = threading.Event()
 
     def watch() -> None:
-        said = ""
+        reported = ""
         while not ended.wait(WATCH_S):
             wrong = ""
             try:
                 wrong = _wrong(client, name, ended if is_ours else None)
             except InfrastructureError as error:
                 wrong = str(error)
-            if wrong != said:
+            if wrong != reported:
                 notify(f"{wrong}; measuring goes on" if wrong else f"place {name} is as it was")
-                said = wrong
+                reported = wrong
 
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()

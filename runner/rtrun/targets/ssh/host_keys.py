@@ -223,7 +223,7 @@ def check_host_key(address: Address, key: "paramiko.PKey", known: HostKeys) -> N
     if not objection or shown in known.trusted:
         return
     name = key.get_name()
-    expected = [each for each, kind in known.trusted.items() if kind in ("", name)]
+    expected = [trusted for trusted, kind in known.trusted.items() if kind in ("", name)]
     if expected:
         raise UnacceptedHostKey(
             f"{address}: the host key has changed: {known.source} says {' or '.join(expected)}, the target shows "
@@ -296,7 +296,7 @@ def _objection(certificate: Certificate, host: str, known: HostKeys) -> str:
     if not certificate.valid_after <= time.time() < certificate.valid_before:
         return "it is not valid now; look at the clocks and renew it"
     # As OpenSSH: a certificate without principals is for every host.
-    if certificate.principals and not any(matches(each.lower(), host) for each in certificate.principals):
+    if certificate.principals and not any(matches(principal.lower(), host) for principal in certificate.principals):
         return f"it is for {', '.join(certificate.principals)}, not for {host}"
     if not _is_signed(certificate):
         return "its signature is wrong"

@@ -109,7 +109,7 @@ def test_check_rt_warns_of_the_groups_it_is_in(group):
             return subprocess.run(argv, input=stdin, capture_output=True, text=True, check=True).stdout
 
     found = rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.read_facts(Link()))
-    faults = {each.check.name: each.evidence for each in found if each.status == "fault"}
+    faults = {finding.check.name: finding.evidence for finding in found if finding.status == "fault"}
     assert faults["CPU quota of the control group"] == (f"/{group.name}: cpu.cfs_quota_us 2000 of 10000 us",)
     if (group / "cpu.rt_runtime_us").exists():
         expected = (f"/{group.name}: cpu.rt_runtime_us 100000 of 1000000 us",)

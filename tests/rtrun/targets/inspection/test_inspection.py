@@ -146,8 +146,8 @@ def test_a_ros2_beside_the_file_that_sets_it_up(link, tmp_path, library):
         (tmp_path / name).chmod(0o755)
         equipment = inspection.inspect(link)
         assert equipment.programs[f"cyclic_timer_tests_{library}"] == f"{tmp_path}/{program}"
-    found = {name for name, one in equipment.middlewares.items() if one.version == "1.2.3"}
-    assert found == {library} and equipment.of(library).setup == f"{tmp_path}/setup.sh"
+    found = {name for name, installed in equipment.middlewares.items() if installed.version == "1.2.3"}
+    assert found == {library} and equipment.installed(library).setup == f"{tmp_path}/setup.sh"
 
 
 @pytest.mark.sshd

@@ -169,11 +169,11 @@ def findings(text):
 
 def test_every_check_finds_its_fault_on_a_bad_system():
     results = findings(BAD)
-    assert {each.check.name for each in results if each.status != "fault"} == set()
+    assert {finding.check.name for finding in results if finding.status != "fault"} == set()
     assert not rt_readiness.is_ready(results)
-    severities = [rt_readiness.SEVERITIES.index(each.check.severity) for each in results]
+    severities = [rt_readiness.SEVERITIES.index(finding.check.severity) for finding in results]
     assert severities == sorted(severities)
-    shown = {each.check.name: each.evidence for each in results}
+    shown = {finding.check.name: finding.evidence for finding in results}
     assert shown["idle states"] == ("768 us to leave C2 (cpu0/cpuidle/state1)",)
     assert shown["threads at priority 99"] == ("99 program busy (node) x",)
     (budget,) = shown["threads at SCHED_DEADLINE"]
@@ -185,7 +185,7 @@ def test_every_check_finds_its_fault_on_a_bad_system():
     ("severity", "is_ready"), [("fatal", False), ("high", False), ("medium", True), ("info", True)]
 )
 def test_a_fault_of_each_severity_alone(severity, is_ready):
-    check = next(each for each in rt_readiness.read_checks() if each.name == "swap")
+    check = next(check for check in rt_readiness.read_checks() if check.name == "swap")
     alone = check.model_copy(update={"severity": severity})
     (finding,) = rt_readiness.judge([alone], rt_readiness.parse(BAD))
     assert finding.status == "fault"
@@ -194,7 +194,7 @@ def test_a_fault_of_each_severity_alone(severity, is_ready):
 
 def test_no_check_finds_fault_on_a_good_system():
     results = findings(GOOD)
-    assert [(each.check.name, each.evidence) for each in results if each.status != "ok"] == []
+    assert [(finding.check.name, finding.evidence) for finding in results if finding.status != "ok"] == []
     assert rt_readiness.is_ready(results)
 
 
@@ -211,7 +211,7 @@ def test_preempt_dynamic_is_not_rt():
 
 
 def test_a_target_that_tells_nothing_is_unknown_and_not_praised():
-    unknown = {each.check.name for each in findings("") if each.status == "unknown"}
+    unknown = {finding.check.name for finding in findings("") if finding.status == "unknown"}
     assert {"PREEMPT_RT", "clocksource", "real-time scheduling"} <= unknown
 
 
@@ -223,14 +223,14 @@ def test_what_was_not_seen_is_neither_right_nor_a_fault():
         (["unseen: one card", "rx-usecs 0, adaptive off: eth0"], ("unknown", ("one card",))),
     ):
         results = rt_readiness.judge(rt_readiness.read_checks(), facts | {"moderation": lines})
-        (found,) = [each for each in results if each.check.fact == "moderation"]
+        (found,) = [finding for finding in results if finding.check.fact == "moderation"]
         assert (found.status, found.evidence) == expected
 
 
 def test_what_a_target_says_cannot_drive_a_terminal(capsys):
     facts = rt_readiness.parse(BAD) | {"turbo_mode": ["Y\x1b[2J" + "x" * 500]}
     findings = rt_readiness.judge(rt_readiness.read_checks(), facts)
-    (line,) = {each.check.name: each.evidence for each in findings}["smsc95xx turbo_mode"]
+    (line,) = {finding.check.name: finding.evidence for finding in findings}["smsc95xx turbo_mode"]
     assert len(line) == rt_readiness.SHOWN_CHARACTERS
     check_rt._print("board", False, findings)
     output = capsys.readouterr().out
@@ -281,8 +281,8 @@ def test_real_time_scheduling_is_asked_of_the_kernel(login):
     tried = subprocess.run([*login, "chrt", "-f", "1", "true"], capture_output=True, check=False)
     line = rt_readiness.parse(script)["rt_scheduling"][0]
     assert line == "granted" if tried.returncode == 0 else re.match("refused(?: in docker| in podman)?: chrt: ", line)
-    tries = [each for each in findings(script) if each.check.name.startswith("real-time scheduling")]
-    assert [each.status for each in tries].count("fault") == (0 if tried.returncode == 0 else 1)
+    tries = [finding for finding in findings(script) if finding.check.name.startswith("real-time scheduling")]
+    assert [finding.status for finding in tries].count("fault") == (0 if tried.returncode == 0 else 1)
 
 
 @as_root
@@ -298,7 +298,7 @@ def test_a_thread_at_sched_deadline_is_shown():
         process.kill()
     expected = "deadline program sleep (1000000/50000000/100000000 ns of runtime/deadline/period)"
     assert expected in rt_readiness.parse(facts)["threads"]
-    (thread,) = [each for each in inspection.parse_state(state).rt_threads if each.tid == process.pid]
+    (thread,) = [thread for thread in inspection.parse_state(state).rt_threads if thread.tid == process.pid]
     assert (thread.name, thread.policy, thread.priority) == ("sleep", "DEADLINE", 0)
 
 
@@ -324,8 +324,8 @@ def test_command_over_ssh(sshd, tmp_path, capsys):
     printed = json.loads(capsys.readouterr().out)
     assert status == (0 if printed["ready"] else 1)
     assert len(printed["checks"]) == len(rt_readiness.read_checks()) and printed["platform"] in list(Platform)
-    assert all({"name", "severity", "status", "found", "why", "remedy"} == each.keys() for each in printed["checks"])
-    rt = next(each for each in printed["checks"] if each["name"] == "PREEMPT_RT")
+    assert all({"name", "severity", "status", "found", "why", "remedy"} == check.keys() for check in printed["checks"])
+    rt = next(check for check in printed["checks"] if check["name"] == "PREEMPT_RT")
     uname = subprocess.run(["uname", "-v"], capture_output=True, text=True, check=True).stdout
     assert (rt["status"] == "ok") == ("PREEMPT_RT" in uname)
     main(["check-rt", "--target", str(path)])
@@ -333,7 +333,7 @@ def test_command_over_ssh(sshd, tmp_path, capsys):
     assert out.startswith(f"loopback ({sshd.user}@127.0.0.1")
     # Not those found before: other tests begin and end threads of high priority meanwhile.
     faults = re.findall(r"^(\w+): (.+)$", out.partition("\n")[2], re.M)
-    assert set(faults) <= {(each["severity"], each["name"]) for each in printed["checks"]}
+    assert set(faults) <= {(check["severity"], check["name"]) for check in printed["checks"]}
     assert any(name == "PREEMPT_RT" for _, name in faults) == (rt["status"] == "fault")
     assert not faults or f": {len(faults)} of {len(printed['checks'])} checks find fault" in out
 

@@ -116,13 +116,13 @@ def test_a_user_who_may_not_write_there(open_folder, is_there):
          "written by every user: name a new folder"),
     ],
 )  # fmt: skip
-def test_the_remedy_is_one_for_who_logs_in(target, said, message):
+def test_the_remedy_is_one_for_who_logs_in(target, refusal, message):
     class Answering:
         def __init__(self):
             self.target = replace(target, address=replace(target.address, user="robot"))
 
         def check(self, argv, stdin):
-            return said
+            return refusal
 
     with pytest.raises(TargetError) as raised:
         work_folder.make(Answering())
@@ -145,8 +145,8 @@ def test_nothing_is_made_that_others_can_write_to(target, tmp_path, kind):
                 facts.inspect(link)
     finally:
         os.umask(before)
-    made = list(Path(there.work_dir).rglob("*"))
-    assert scripts / "made" in made and all(path.stat().st_mode & 0o022 == 0 for path in made)
+    paths = list(Path(there.work_dir).rglob("*"))
+    assert scripts / "made" in paths and all(path.stat().st_mode & 0o022 == 0 for path in paths)
 
 
 def test_some_that_ask_at_the_same_time_do_not_disturb_each_other(tmp_path):
@@ -154,7 +154,7 @@ def test_some_that_ask_at_the_same_time_do_not_disturb_each_other(tmp_path):
     ask = 'for _ in $(seq 40); do sh "$0" "$1"; done'
     argv = ["sh", "-c", ask, work_folder.SCRIPT, str(tmp_path / "work")]
     asking = [subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) for _ in range(4)]
-    assert [each.communicate(timeout=100)[0] for each in asking] == [""] * 4
+    assert [process.communicate(timeout=100)[0] for process in asking] == [""] * 4
     assert sorted(path.name for path in (tmp_path / "work").iterdir()) == [
         ".rt-tests", "master", "objects", "runs", "suites"
     ]  # fmt: skip

@@ -194,18 +194,18 @@ def test_of_two_runners_of_one_user_that_begin_at_once_one_waits_and_says_so(far
     words = write_target(farm, filter={"board": "panda"})
     gate = tmp_path / "gate"
     farm.wishes.will(f"await {gate}")
-    said = [tmp_path / name for name in ("one", "two")]
+    logs = [tmp_path / name for name in ("one", "two")]
     runners = []
-    for path in said:
+    for path in logs:
         with path.open("w") as stderr:
             command = [sys.executable, "-m", "rtrun.cli", *words, "--results", f"results/{path.name}"]
             runners.append(subprocess.Popen(command, stderr=stderr))
-    while not any("reserved, and waited for" in path.read_text() for path in said):
+    while not any("reserved, and waited for" in path.read_text() for path in logs):
         assert all(runner.poll() is None for runner in runners)
         time.sleep(0.1)
     gate.touch()
     assert [runner.wait() for runner in runners] == [0, 0]
-    (line,) = [line for path in said for line in path.read_text().splitlines() if "waited for" in line]
+    (line,) = [line for path in logs for line in path.read_text().splitlines() if "waited for" in line]
     assert "panda-1 is held by" in line or "panda-1 is reserved" in line
     assert len(farm.wishes.calls()) == 4
 
@@ -237,7 +237,7 @@ def test_what_becomes_of_coordinator_and_exporter_meanwhile_is_said_and_measurin
     def injure():
         farm.wishes.await_calls()
         farm.end("exporter", signal.SIGKILL)
-        while any(each.group == "panda-1" for each in list_resources(farm.coordinator)):
+        while any(resource.group == "panda-1" for resource in list_resources(farm.coordinator)):
             time.sleep(0.1)
         time.sleep(1)
         farm.start("exporter")
@@ -255,8 +255,8 @@ def test_what_becomes_of_coordinator_and_exporter_meanwhile_is_said_and_measurin
     assert main(words) == 0
     helper.join()
     err = capsys.readouterr().err
-    said = "nobody offers bench/panda-1/*: the exporter bench ended or was not started (labgrid-exporter)"
-    assert f"place panda-1: {said}; measuring goes on" in err and "place panda-1 is as it was" in err
+    reported = "nobody offers bench/panda-1/*: the exporter bench ended or was not started (labgrid-exporter)"
+    assert f"place panda-1: {reported}; measuring goes on" in err and "place panda-1 is as it was" in err
     assert [record["status"] for record in records()] == ["ok", "ok"]
 
 
@@ -290,7 +290,7 @@ def test_a_board_that_fails_its_check_twice_is_left_out_until_it_passes(farm, ca
     def checked(status):
         assert main(["farm", "--target", "target.yml", "--check", "--json"]) == status
         printed = capsys.readouterr()
-        checks = {each["place"]: each for each in json.loads(printed.out)["checks"]}
+        checks = {check["place"]: check for check in json.loads(printed.out)["checks"]}
         return checks, farm.place("spare-1").tags
 
     farm.client("-p", "panda-1", "acquire", user="alice")
@@ -308,8 +308,8 @@ def test_a_board_that_fails_its_check_twice_is_left_out_until_it_passes(farm, ca
     assert main(words) == 0
     assert {record["target"]["name"] for record in records()} == {"panda-1"}
     assert [target.name for target in read_targets([], ["labgrid:pool=lab"])] == ["panda-1"]
-    said = capsys.readouterr().err
-    assert "place spare-1 is in quarantine: " in said and said.count("left out") == 1
+    err = capsys.readouterr().err
+    assert "place spare-1 is in quarantine: " in err and err.count("left out") == 1
     assert main(["archive", "add", "results/test", "--to", "archive"]) == 0
     capsys.readouterr()
     monkeypatch.setenv("COLUMNS", "220")

@@ -201,7 +201,7 @@ def test_a_key_that_only_its_certificate_lets_in(another_sshd, tmp_path, sshd):
     sign = ["ssh-keygen", "-q", "-s", authority, "-I", "me", "-n", sshd.user, f"{key}.pub"]
     subprocess.run(sign, check=True, capture_output=True)
     usable = login.read_keys(replace(sshd.address, key=key)).usable
-    assert [each.public_blob is not None for each in usable] == [True, False], "as OpenSSH: the certificate first"
+    assert [key.public_blob is not None for key in usable] == [True, False], "as OpenSSH: the certificate first"
     address = another_sshd(f"TrustedUserCAKeys {authority}.pub")
     Connection(replace(address, key=key)).close()
 

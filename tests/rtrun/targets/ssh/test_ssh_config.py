@@ -381,10 +381,10 @@ def test_the_key_of_a_jump_host_is_checked(behind, gate, home, sshd):
     with pytest.raises(TargetError, match=rf"{gate.user}@127.0.0.1:{gate.port}: unknown host key SHA256:") as raised:
         Connection(address_of("myboard"))
     # A host_key in the target file would be taken for the target's, and the jump host stay unknown.
-    said = str(raised.value)
-    assert "put 'host_key" not in said and "a host_key in the target file is not for it" in said
+    message = str(raised.value)
+    assert "put 'host_key" not in message and "a host_key in the target file is not for it" in message
     # What it says to call makes the key known; there it is answered as by a user who has compared it.
-    (command,) = re.findall(r"call (ssh .*) once, compare", said)
+    (command,) = re.findall(r"call (ssh .*) once, compare", message)
     call = shlex.split(command)
     subprocess.run([call[0], "-o", "StrictHostKeyChecking=accept-new", "-o", "BatchMode=yes", *call[1:], "true"],
                    capture_output=True, check=False)  # fmt: skip
