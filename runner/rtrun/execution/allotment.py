@@ -42,7 +42,7 @@ def rounds_of_blocks(
         ordered = sorted(blocks, key=lambda block: {*begun}.isdisjoint(run.name for run in block)) if begun else blocks
         for block in ordered:
             if todo := tuple(run for run in block if run.name in needed and run.name not in no_more):
-                others = [run for each in blocks if has_kernels and each is not block for run in each]
+                others = [run for other in blocks if has_kernels and other is not block for run in other]
                 boots = filter(None, (_boot_of(results / run.name) for run in others))
                 return Round(runs=todo, used_boots=frozenset(boots))
         return None
@@ -95,14 +95,14 @@ class Allotment:
                 of_others = {run for runs in self._measuring.values() for run in runs}
                 of_others |= {run for run, owner in self._owners.items() if owner != board}
                 asked_at = self._returned
-                each = self._plan(of_others, begun)
+                planned = self._plan(of_others, begun)
                 # The board was just offered the runs that an earlier call gave it; now any board may take them.
                 self._owners = {run: owner for run, owner in self._owners.items() if owner != board}
                 if self.is_over:
                     continue
-                if each is not None:
-                    self._measuring[board] = tuple(run.name for run in each.runs)
-                    return each
+                if planned is not None:
+                    self._measuring[board] = tuple(run.name for run in planned.runs)
+                    return planned
                 if asked_at == self._returned and not self._measuring and not self._owners:
                     self.is_over = True
                     return None

@@ -108,20 +108,20 @@ def measure_rounds(
         foreign = {name for name in begun if _is_foreign(session, name, link.target.name)}
         for name in foreign:
             processes.give_up(link, remote / name)
-        while each := take_round(begun - foreign):
+        while current_round := take_round(begun - foreign):
             if len(session.log.targets) > 1:
-                for run in each.runs:
+                for run in current_round.runs:
                     session.log.give(session.now().isoformat(), run.name, link.target.name)
             try:
-                if link.boot_id in each.used_boots:
-                    prepared.restart(each.runs[0].kernel)
+                if link.boot_id in current_round.used_boots:
+                    prepared.restart(current_round.runs[0].kernel)
                 # Prepare now, so that it does not count as time of a run.
-                prepared.get(each.runs[0].kernel)
+                prepared.get(current_round.runs[0].kernel)
             except TargetRebooted as error:
                 # The target restarted on its own. The first run prepares it anew.
                 prepared.close()
                 observer.note(str(error))
-            for run in sorted(each.runs, key=lambda run: run.name not in begun):
+            for run in sorted(current_round.runs, key=lambda run: run.name not in begun):
                 # A run in a round does not have the name of its group.
                 number = numbers.get(run.name, 0)
                 observer.began(number, run)

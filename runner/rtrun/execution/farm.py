@@ -64,9 +64,9 @@ def measure_on_boards(session: Session, boards: Sequence[Board], next_round: Nex
         # A problem common to all boards, such as a coordinator that does not answer, is reported once.
         names: dict[str, list[str]] = {}
         for name, error in work.errors.items():
-            if name not in work.said:
+            if name not in work.reported:
                 names.setdefault(str(error), []).append(name)
-        raise TargetError("\n".join(f"{', '.join(of)}: {text}" for text, of in names.items()))
+        raise TargetError("\n".join(f"{', '.join(board_names)}: {text}" for text, board_names in names.items()))
 
 
 def _is_of_this_machine(error: BaseException) -> bool:
@@ -80,7 +80,7 @@ class _FarmThreads:
 
     def __init__(self, session: Session, allotment: Allotment) -> None:
         self.errors: dict[str, BaseException] = {}
-        self.said: set[str] = set()
+        self.reported: set[str] = set()
         """The boards reported to have left their runs to another one that works."""
         self._waiting: dict[str, Callable[[], None]] = {}
         """By board: reports that it left its runs to others. Called once another board works."""
@@ -140,7 +140,7 @@ class _FarmThreads:
         with self._lock:
             self._working.add(board.name)
             waiting, self._waiting = self._waiting, {}
-            self.said |= waiting.keys()
+            self.reported |= waiting.keys()
         for say in waiting.values():
             say()
 
@@ -152,7 +152,7 @@ class _FarmThreads:
                 self._waiting[board.name] = functools.partial(board.observer.left, error)
                 return
             if error is not None:
-                self.said.add(board.name)
+                self.reported.add(board.name)
         board.observer.left(error)
 
     def stop(self) -> None:

@@ -194,9 +194,11 @@ def _used_boots(
 ) -> frozenset[str]:
     """The boots of those rounds up to `highest` that must not share a boot with this round."""
     others = [
-        each for each in range(1, highest + 1) if boot_of_round(each, boot_rounds) != boot_of_round(number, boot_rounds)
+        other
+        for other in range(1, highest + 1)
+        if boot_of_round(other, boot_rounds) != boot_of_round(number, boot_rounds)
     ]
-    boots = {findings.boot_of(run_in_round(group, each)) for each in others for group in groups}
+    boots = {findings.boot_of(run_in_round(group, other)) for other in others for group in groups}
     return frozenset(boot for boot in boots if boot)
 
 

@@ -180,13 +180,13 @@ class LateValueRecord:
         turns: _TurnsByTime | None = None
         end = self._texts.end + TEXT_BYTES_AT_ONCE_MAX
         for late in self.streams.values():
-            for near in _near(sorted(self._waiting(late, until_ns), key=lambda one: one.from_ns)):
+            for near in _near(sorted(self._waiting(late, until_ns), key=lambda value: value.from_ns)):
                 if self._texts.end >= end:
                     break
                 turns = turns or _TurnsByTime(self._turns)
-                text = self._text(turns, near[0].from_ns, max(one.until_ns for one in near))
-                for one in near:
-                    one.text = text
+                text = self._text(turns, near[0].from_ns, max(value.until_ns for value in near))
+                for value in near:
+                    value.text = text
         oldest_ns = until_ns - KEPT_NS
         while self._events and self._events[0].at_ns[-1] < oldest_ns:
             self._events_bytes -= self._events.popleft().size_bytes
@@ -199,11 +199,15 @@ class LateValueRecord:
     def _waiting(self, late: LateValues, until_ns: int) -> Iterator[LateValue]:
         """The late values without a trace whose events have all arrived."""
         oldest_ns = int(self._events[0].at_ns[0]) if self._events else until_ns
-        return (one for one in late.kept if one.text is None and oldest_ns < one.at_ns and one.until_ns <= until_ns)
+        return (
+            value
+            for value in late.kept
+            if value.text is None and oldest_ns < value.at_ns and value.until_ns <= until_ns
+        )
 
     def _text(self, turns: "_TurnsByTime", from_ns: int, until_ns: int) -> StoredText:
         gaps = [gap for gap in self._gaps if from_ns <= gap.until_ns <= until_ns]
-        kernel = [each.between(from_ns, until_ns) for each in self._events]
+        kernel = [batch.between(from_ns, until_ns) for batch in self._events]
         events = _EventsOfTrace(kernel, turns.between(from_ns, until_ns))
         return self._texts.add(trace_text(events, gaps, self._symbols))
 
@@ -243,17 +247,17 @@ def _as_event(turn: Turn) -> Hit:
     name = printable(turn.name)
     if turn.end_ns is None:
         return Hit(turn.begin_ns, turn.cpu, turn.pid, turn.tid, "callback_begin", {**none, "name": name})
-    told = {**none, "took_ns": turn.end_ns - turn.begin_ns, "name": name}
-    return Hit(turn.end_ns, turn.cpu, turn.pid, turn.tid, "callback_end", told)
+    values = {**none, "took_ns": turn.end_ns - turn.begin_ns, "name": name}
+    return Hit(turn.end_ns, turn.cpu, turn.pid, turn.tid, "callback_end", values)
 
 
 def _near(late: Sequence[LateValue]) -> Iterator[list[LateValue]]:
     """Values in groups whose traces would overlap."""
     group: list[LateValue] = []
-    for one in late:
-        if group and one.from_ns > max(other.until_ns for other in group):
+    for value in late:
+        if group and value.from_ns > max(other.until_ns for other in group):
             yield group
             group = []
-        group.append(one)
+        group.append(value)
     if group:
         yield group

@@ -24,10 +24,10 @@ def list_loops(link: Link, scripts: PurePosixPath, watched: Watched) -> tuple[st
     """A sentence for each thread whose loop would be observed, and one if the kernel's events cannot be read."""
     names = watched.loops.names if watched.loops is not None else ()
     threads = [
-        (each.program, thread)
-        for each in watched.found
-        for thread in each.program.threads
-        if is_observed(each.program, thread, names)
+        (found.program, thread)
+        for found in watched.found
+        for thread in found.program.threads
+        if is_observed(found.program, thread, names)
     ]
     if not threads:
         return ()
@@ -49,16 +49,16 @@ def _look(link: Link, scripts: PurePosixPath, watched: Watched) -> FlowAccumulat
     stream = session.observe(link, scripts, nothing, watched.found, for_s=LOOK_S, loops=watched.loops)
     seen: FlowAccumulator | None = None
     with contextlib.closing(stream):
-        for each in _batches(stream):
+        for batch in _batches(stream):
             if seen is None:
-                seen = FlowAccumulator(begin_ns=each.begin_ns, loops=watched.loops)
-                seen.observe(one.program for one in watched.found)
-            seen.loops.feed(each.kernel, each.gaps, each.realtime_offset_ns)
+                seen = FlowAccumulator(begin_ns=batch.begin_ns, loops=watched.loops)
+                seen.observe(found.program for found in watched.found)
+            seen.loops.feed(batch.kernel, batch.gaps, batch.realtime_offset_ns)
     return seen
 
 
 def _batches(stream: Iterator[session.Observed]) -> Iterator[Batch]:
-    return (each for each in stream if isinstance(each, Batch) and each.begin_ns)
+    return (batch for batch in stream if isinstance(batch, Batch) and batch.begin_ns)
 
 
 def _in_words(program: ObservedProgram, thread: ProgramThread, seen: FlowAccumulator | None) -> str:

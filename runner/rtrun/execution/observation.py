@@ -54,7 +54,7 @@ class Watched:
     @property
     def ros_programs(self) -> tuple[ObservableProgram, ...]:
         """Those that map a library with probes."""
-        return tuple(each for each in self.found if each.mapped)
+        return tuple(program for program in self.found if program.mapped)
 
     def why_nothing(self, plan: ObservationPlan) -> str:
         """Why there is nothing to observe; empty if there is something, or a program with a named loop may begin."""
@@ -186,20 +186,20 @@ def observe(
         watched.placement,
         watched.found,
         for_s=plan.for_s,
-        kernel_events=[each for each in kernel_trace.read_events() if each not in _FOR_PEOPLE] if late else (),
+        kernel_events=[event for event in kernel_trace.read_events() if event not in _FOR_PEOPLE] if late else (),
         loops=watched.loops,
         limit_per_s=session.LIMIT_PER_S + (_KERNEL_EVENTS_PER_S if late else 0),
     )
     try:
-        for each in stream:
-            if isinstance(each, Began):
-                began = each
-            elif isinstance(each, Finished):
-                finished, broken = each, each.broken
-            elif each.begin_ns:
+        for observed in stream:
+            if isinstance(observed, Began):
+                began = observed
+            elif isinstance(observed, Finished):
+                finished, broken = observed, observed.broken
+            elif observed.begin_ns:
                 if flows is None or figures is None:
                     flows = FlowAccumulator(
-                        begin_ns=each.begin_ns,
+                        begin_ns=observed.begin_ns,
                         paths=plan.followed,
                         recorder=onlooker.recorder,
                         on_turn=late.turn if late else None,
@@ -210,24 +210,24 @@ def observe(
                         flows.loops.missing[NO_ADDRESSES] = None
                     flows.observe(roster.alive)
                     figures = LiveFigures(flows, plan.deadlines, late.look if late else None)
-                for pid in each.ended:
+                for pid in observed.ended:
                     roster.end(pid)
-                for program in each.programs:
+                for program in observed.programs:
                     roster.begin(program.program)
-                if each.ended or each.programs:
+                if observed.ended or observed.programs:
                     flows.observe(roster.alive)
-                for reading in each.clocks:
+                for reading in observed.clocks:
                     flows.offset(*reading)
                 if late is not None:
-                    late.record(each)
-                flows.feed([*each.hits, *each.gaps])
-                flows.loops.feed(each.kernel, each.gaps, each.realtime_offset_ns)
-                until_ns = each.until_ns
-                onlooker.on_second(figures.snapshot(each.until_ns))
+                    late.record(observed)
+                flows.feed([*observed.hits, *observed.gaps])
+                flows.loops.feed(observed.kernel, observed.gaps, observed.realtime_offset_ns)
+                until_ns = observed.until_ns
+                onlooker.on_second(figures.snapshot(observed.until_ns))
                 if late is not None:
-                    late.cut(each.until_ns)
-                gone_ns = 0 if roster.alive else gone_ns or each.until_ns
-                if plan.system.start and gone_ns and each.until_ns - gone_ns > GONE_NS:
+                    late.cut(observed.until_ns)
+                gone_ns = 0 if roster.alive else gone_ns or observed.until_ns
+                if plan.system.start and gone_ns and observed.until_ns - gone_ns > GONE_NS:
                     break
     except NoRoom as error:
         broken = str(error)

@@ -90,9 +90,9 @@ def write(
         partial,
         Graph(
             schema=1,
-            placed=[PlacedEvent(event=each.event, path=each.path) for each in result.began.placed],
+            placed=[PlacedEvent(event=probe.event, path=probe.path) for probe in result.began.placed],
             refused=[
-                RefusedEvent(event=each.event, path=each.path, reason=each.reason) for each in result.began.refused
+                RefusedEvent(event=probe.event, path=probe.path, reason=probe.reason) for probe in result.began.refused
             ],
             remarks=[
                 *result.remarks,
@@ -138,16 +138,19 @@ def _programs(
     """The programs that a stream's parameters name; all programs if none has such a name."""
     known = result.flows.state.pids
     pids = {pid for key in parties for pid in known.get(str(parameters.get(key)), ())}
-    return [_program(each) for each in [each for each in result.programs if each.pid in pids] or result.programs]
+    return [
+        _program(program)
+        for program in [program for program in result.programs if program.pid in pids] or result.programs
+    ]
 
 
-def _program(each: ObservedProgram) -> ProgramRecord:
+def _program(program: ObservedProgram) -> ProgramRecord:
     return ProgramRecord(
-        name=each.name,
-        argv=list(each.argv),
-        pid=each.pid,
-        threads=[_thread(thread) for thread in each.threads],
-        locked_bytes=each.locked_bytes,
+        name=program.name,
+        argv=list(program.argv),
+        pid=program.pid,
+        threads=[_thread(thread) for thread in program.threads],
+        locked_bytes=program.locked_bytes,
     )
 
 

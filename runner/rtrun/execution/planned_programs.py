@@ -30,7 +30,7 @@ def programs_of(prepared: Prepared, run: Run, remote: PurePosixPath, token: str)
         expected_s=run.expected_s,
         deadline_s=deadline_s,
     )
-    names = [each.program.name for each in background]
+    names = [entry.program.name for entry in background]
     priority = str(run.parameters.get("priority") or 1)
     sampler = Program(
         name=SAMPLER,

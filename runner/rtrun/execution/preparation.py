@@ -106,7 +106,7 @@ def prepared(
         for name, variant in ({"": Variant()} | dict(variants or {})).items()
     }
     # All variants share one sampler, so that its cost is not taken for an effect of a variant.
-    samplers = [each[SAMPLER] for each in (*programs.values(), equipment.programs) if SAMPLER in each]
+    samplers = [paths[SAMPLER] for paths in (*programs.values(), equipment.programs) if SAMPLER in paths]
     deploy.prune(link, 1 + len(variants or {}))
     with contextlib.ExitStack() as running:
         own_services, no_service = set(), {}
@@ -166,7 +166,7 @@ def _highest_priority(runs: Sequence[Run]) -> int:
     """Return the highest real-time priority that runs ask for; 0 when none does."""
     priorities = [int(run.parameters["priority"] or 0) for run in runs if suites.is_real_time(run.parameters)]
     graphs = [run.subject.topology for run in runs if isinstance(run.subject, TopologyPlan)]
-    priorities += [each.priority for graph in graphs for each in graph.executors]
+    priorities += [executor.priority for graph in graphs for executor in graph.executors]
     return max(priorities, default=0)
 
 

@@ -23,9 +23,9 @@ ShowFigures = Callable[[FiguresSoFar], None]
 def in_words(figures: FiguresSoFar, run: Run) -> str:
     """The figures of a run so far, in about 50 columns; times in microseconds, as cyclictest prints them."""
     asked = int(run.parameters.get("repetitions") or 0) * int(run.parameters.get("subscribers") or 1)
-    of = f" of {grouped(asked)}" if asked else ""
+    total = f" of {grouped(asked)}" if asked else ""
     lowest, mean, highest = map(_in_us, (figures.min_ns, figures.mean_ns, figures.max_ns))
-    return f"{grouped(figures.n)}{of}  min {lowest}  avg {mean}  max {highest} us"
+    return f"{grouped(figures.n)}{total}  min {lowest}  avg {mean}  max {highest} us"
 
 
 def _in_us(value_ns: int) -> str:

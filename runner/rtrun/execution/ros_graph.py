@@ -70,33 +70,33 @@ class RosGraph:
     @property
     def topics(self) -> dict[str, tuple[list[str], list[str]]]:
         """By topic: the nodes that publish it, and those that take it."""
-        made: dict[str, tuple[list[str], list[str]]] = {}
+        ends: dict[str, tuple[list[str], list[str]]] = {}
         for node in self.nodes:
             for side, names in enumerate((node.publishes, node.takes)):
                 for name in names:
-                    made.setdefault(name, ([], []))[side].append(node.name)
-        return made
+                    ends.setdefault(name, ([], []))[side].append(node.name)
+        return ends
 
 
 def read_graph(link: Link, scripts: PurePosixPath, found: Sequence[ObservableProgram]) -> RosGraph:
     """Ask what the programs of a target see of one another. Raises TargetError where the target does not answer."""
-    pids = {name: [one.program.pid for one in found if _has(one, name)] for name in (ROS1, ROS2)}
-    told = _environment(link, [*pids[ROS1], *pids[ROS2]])
+    pids = {name: [observable.program.pid for observable in found if _has(observable, name)] for name in (ROS1, ROS2)}
+    variables = _environment(link, [*pids[ROS1], *pids[ROS2]])
     nodes: list[GraphNode] = []
     remarks: list[str] = []
     end_s = time.monotonic() + ASK_S
-    for master in dict.fromkeys(told.get((pid, _MASTER), _DEFAULT_MASTER) for pid in pids[ROS1]):
+    for master in dict.fromkeys(variables.get((pid, _MASTER), _DEFAULT_MASTER) for pid in pids[ROS1]):
         if time.monotonic() > end_s:
             remarks.append(f"the ROS master {master} was not asked: the others took {ASK_S:g} s")
             break
         try:
-            nodes = _with(nodes, _ask_master(link, master, {one.program.pid for one in found}, end_s))
+            nodes = _with(nodes, _ask_master(link, master, {observable.program.pid for observable in found}, end_s))
         except ConnectionRefusedError:
             remarks.append(f"the ROS master {master} does not answer on the target: its topics are seen once observed")
         except (TypeError, ValueError, UsageError) as error:
             remarks.append(f"the ROS master {master} does not answer as one: {error}")
     # One program per domain.
-    domains = {told.get((pid, _DOMAIN), "0"): pid for pid in reversed(pids[ROS2])}
+    domains = {variables.get((pid, _DOMAIN), "0"): pid for pid in reversed(pids[ROS2])}
     for domain, pid in domains.items():
         if time.monotonic() > end_s:
             remarks.append(f"the nodes of ROS 2 in domain {domain} are seen once observed: the others took {ASK_S:g} s")
@@ -120,7 +120,7 @@ def _with(nodes: list[GraphNode], more: Iterable[GraphNode]) -> list[GraphNode]:
 
 
 def _has(found: ObservableProgram, library: str) -> bool:
-    return any(each.library == library for each in found.mapped)
+    return any(mapped.library == library for mapped in found.mapped)
 
 
 def _without_those_of_ros(node: GraphNode) -> GraphNode:
@@ -133,12 +133,12 @@ def _without_those_of_ros(node: GraphNode) -> GraphNode:
 
 def _environment(link: Link, pids: Iterable[int]) -> dict[tuple[int, str], str]:
     """The variables that tell processes which graph they belong to, by pid and name."""
-    told = {}
+    variables = {}
     for line in link.check(["sh", "-c", _ASK_ENVIRONMENT, "sh", *map(str, pids)]).splitlines():
         match = re.fullmatch(r"(\d{1,7}) (\w{1,32})=(.{0,500})", line, re.ASCII)
         if match:
-            told[int(match[1]), match[2]] = match[3]
-    return told
+            variables[int(match[1]), match[2]] = match[3]
+    return variables
 
 
 def _ask_master(link: Link, uri: str, pids: set[int], end_s: float) -> Iterator[GraphNode]:

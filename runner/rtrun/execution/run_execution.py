@@ -250,7 +250,7 @@ def _begin(work: ActiveRun, now: Clock) -> Attempt:
 def _start_background(work: ActiveRun) -> None:
     """Start what the condition asks for. Raises TargetError when a program of it ends at once."""
     link, prepared = work.link, work.prepared
-    programs = [each.program for each in work.programs.background]
+    programs = [entry.program for entry in work.programs.background]
     setup = prepared.setup_of(conditions.middleware_of_loads(work.run.condition))
     processes.start(link, prepared.scripts, work.remote, *programs, setup=setup)
     time.sleep(work.run.settle_s)

@@ -68,12 +68,12 @@ class RunPrograms:
     @property
     def load_names(self) -> list[str]:
         """The names of the background programs that are loads."""
-        return [each.program.name for each in self.background if each.is_load]
+        return [load.program.name for load in self.background if load.is_load]
 
     @property
     def other_names(self) -> list[str]:
         """The names of the background programs that hold a setting, and of the sampler."""
-        names = [each.program.name for each in self.background if not each.is_load]
+        names = [entry.program.name for entry in self.background if not entry.is_load]
         return [*names, *([self.sampler.name] if self.sampler else [])]
 
     @property

@@ -68,7 +68,10 @@ class StreamFacts:
 
     def deadline_ns(self, output: ObservedOutput) -> int | None:
         """The deadline of a stream; None: it has none."""
-        return next((each.deadline_ns for each in self.deadlines if each.is_of(output.suite, output.parameters)), None)
+        return next(
+            (deadline.deadline_ns for deadline in self.deadlines if deadline.is_of(output.suite, output.parameters)),
+            None,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -228,18 +231,18 @@ def _output(stream: Stream, shared: Mapping[str, Value], late: LateValues) -> Ob
 
 def _traced(stream: Stream, kept: Sequence[LateValue]) -> Iterator[TracedValue]:
     """The late values that have a trace, with their indices in the samples."""
-    for one in kept:
-        if not one.text:
+    for value in kept:
+        if not value.text:
             continue
-        row = _row_at(stream.columns[stream.kind.at], one.at_ns)
+        row = _row_at(stream.columns[stream.kind.at], value.at_ns)
         if row is not None:
             yield TracedValue(
                 index=int(stream.columns[stream.kind.index][row]) if stream.kind.index else row,
-                value_ns=one.value_ns,
-                limit_ns=one.limit_ns,
-                at_ns=one.at_ns,
-                tid=one.tid,
-                text=one.text,
+                value_ns=value.value_ns,
+                limit_ns=value.limit_ns,
+                at_ns=value.at_ns,
+                tid=value.tid,
+                text=value.text,
             )
 
 

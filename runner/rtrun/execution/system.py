@@ -51,7 +51,7 @@ def wait_ready(
         own = watched.found
         if plan.system.start:
             pids = processes.look(link, remote, SYSTEM).pids
-            own = tuple(each for each in watched.found if each.program.pid in pids)
+            own = tuple(found for found in watched.found if found.program.pid in pids)
         if not topic and (own or (plan.loops and not plan.system.start)):
             # A program with a named loop may begin later.
             return None
@@ -89,16 +89,16 @@ def _published(
     published: set[str] = set()
     if not watched.placement.probes:
         return published
-    pids = {each.program.pid for each in own}
+    pids = {found.program.pid for found in own}
     flows: FlowAccumulator | None = None
     with contextlib.closing(session.observe(link, scripts, watched.placement, watched.found, for_s=LOOK_S)) as stream:
-        for each in stream:
-            if not isinstance(each, Batch) or not each.begin_ns:
+        for batch in stream:
+            if not isinstance(batch, Batch) or not batch.begin_ns:
                 continue
             if flows is None:
-                flows = FlowAccumulator(begin_ns=each.begin_ns)
+                flows = FlowAccumulator(begin_ns=batch.begin_ns)
                 flows.observe(found.program for found in watched.found)
-            flows.feed([*each.hits, *each.gaps])
+            flows.feed([*batch.hits, *batch.gaps])
             known = flows.state.pids
             published = {
                 name
@@ -120,10 +120,10 @@ def end_of(link: Link, remote: PurePosixPath) -> str | None:
         return None
     if standing.status == 0 and standing.pids:
         return None
-    said = processes.read_last_line(link, remote / f"{SYSTEM}.stderr") or "it said nothing"
+    last_line = processes.read_last_line(link, remote / f"{SYSTEM}.stderr") or "it said nothing"
     if standing.status is None:
-        return f"killed from outside: {said}"
-    return f"with exit status {standing.status}: {said}"
+        return f"killed from outside: {last_line}"
+    return f"with exit status {standing.status}: {last_line}"
 
 
 def end(link: Link, remote: PurePosixPath) -> Exit:

@@ -125,12 +125,14 @@ def _wrong_thread(topology: Topology, process: str, host: HostRecord) -> str | N
         name = executor.name[:_THREAD_NAME_MAX]
         policy = _POLICIES.get(executor.policy, executor.policy)
         asked = (policy, executor.priority)
-        own = [each for each in host.in_effect.threads if each.name == name]
+        own = [thread for thread in host.in_effect.threads if thread.name == name]
         cpus = {*executor.cpus}
-        if any((each.policy, each.priority) == asked and (not cpus or {*each.cpus} == cpus) for each in own):
+        if any((thread.policy, thread.priority) == asked and (not cpus or {*thread.cpus} == cpus) for thread in own):
             continue
         on = f" on CPUs {','.join(map(str, executor.cpus))}" if cpus else ""
-        seen = "; ".join(f"{each.policy} {each.priority} on CPUs {','.join(map(str, each.cpus))}" for each in own)
+        seen = "; ".join(
+            f"{thread.policy} {thread.priority} on CPUs {','.join(map(str, thread.cpus))}" for thread in own
+        )
         return (
             f"executor {executor.name}: asked for {policy} {executor.priority}{on}, in effect was {seen or 'nothing'}"
         )
@@ -144,7 +146,7 @@ def write(
 
     Returns the closing record of the run itself. Raises InfrastructureError if something cannot be written.
     """
-    programs = [_program(each, tables) for each in record.programs]
+    programs = [_program(program, tables) for program in record.programs]
     # All its streams were measured at the same time, so that time counts once, as in an observation.
     record = record.model_copy(update={"programs": programs, "subject": "attached"})
     written = write_streams(
@@ -169,7 +171,7 @@ def write(
 
 
 def _program(program: ProgramRecord, tables: TopologyTables) -> ProgramRecord:
-    host = next((each for name, each in tables.hosts.items() if host_name(name) == program.name), None)
+    host = next((host for name, host in tables.hosts.items() if host_name(name) == program.name), None)
     threads: list[Thread] = host.in_effect.threads if host else []
     return program.model_copy(update={"threads": threads, "costs": host.costs if host else None})
 
@@ -230,12 +232,12 @@ def _hop(tables: TopologyTables, number: int) -> HopFigures:
 
 
 def _path(tables: TopologyTables, path: NodePath) -> PathFigures:
-    of = origins(tables, path)
-    reaction, age = reactions(tables, path, of[0]), ages(tables, path, of[0])
+    sources = origins(tables, path)
+    reaction, age = reactions(tables, path, sources[0]), ages(tables, path, sources[0])
     worst: list[CycleStep] = []
     longest = _longest(reaction)
     if longest is not None:
-        cycle = stages(tables, path, of, int(reaction.activation[longest]))
+        cycle = stages(tables, path, sources, int(reaction.activation[longest]))
         worst = [_step(stage, int(reaction.begin_ns[longest])) for stage in cycle]
     return PathFigures(
         topics=[*path.topics],

@@ -31,13 +31,13 @@ def test_boards_that_fail_lose_no_run_and_measure_none_twice(seed):
     def measure_on(board):
         last = draw.randrange(4)
         for count in range(len(runs) + 1):
-            each = allotment.take(board, ())
-            if each is None:
+            taken = allotment.take(board, ())
+            if taken is None:
                 break
             if board in doomed and count >= last:
                 allotment.withdraw(board)
                 return
-            for run in each.runs:
+            for run in taken.runs:
                 twice.extend([run.name] if run.name in done else [])
                 done[run.name] = board
 

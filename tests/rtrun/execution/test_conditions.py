@@ -102,7 +102,7 @@ def kill(command, count=None):
     """What kills so many processes of this command; "": of any."""
 
     def kill_them(processes):
-        for pid in [pid for pid, each in processes.items() if command in ("", each)][:count]:
+        for pid in [pid for pid, name in processes.items() if command in ("", name)][:count]:
             os.kill(pid, signal.SIGKILL)
 
     return kill_them
@@ -158,9 +158,9 @@ def test_what_is_observed_may_be_as_large_as_the_run_is_long(
     if status == "ok":
         assert (found["reason"], found["refused"]) == (None, {})
     else:
-        (said,) = found["refused"].values()
-        assert said.endswith(f"at most {size} were expected: the rest was not taken")
-        assert found["reason"] == f"nobody saw what was in effect to the end: {said}"
+        (reason,) = found["refused"].values()
+        assert reason.endswith(f"at most {size} were expected: the rest was not taken")
+        assert found["reason"] == f"nobody saw what was in effect to the end: {reason}"
 
 
 def test_a_run_without_sampler(target, tmp_path, wishes):
@@ -207,7 +207,9 @@ def test_cyclictest_is_a_suite_of_its_own(target, tmp_path):
     counted = [re.search(rf"# {what}: (.*)", printed)[1].split() for what in ("Total", "Histogram Overflows")]
     totals = [int(within) + int(above) for within, above in zip(*counted, strict=True)]
     results = read_run(tmp_path / "results" / run.name).results
-    assert [(each.header.suite, each.figures.n) for each in results] == [("cyclictest", total) for total in totals]
+    assert [(result.header.suite, result.figures.n) for result in results] == [
+        ("cyclictest", total) for total in totals
+    ]
     assert len(totals) == 2 and min(totals) > 1000
 
 

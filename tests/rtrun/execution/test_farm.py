@@ -56,8 +56,8 @@ def farm(tmp_path, ros_master, monkeypatch):
     folders = [tmp_path / name for name in ("left", "right")]
     for folder in folders:
         folder.mkdir()
-    with serve(folders[0]) as one, serve(folders[1]) as two:
-        boards = [Board(folder, sshd, ros_master) for folder, sshd in zip(folders, (one, two), strict=True)]
+    with serve(folders[0]) as first, serve(folders[1]) as second:
+        boards = [Board(folder, sshd, ros_master) for folder, sshd in zip(folders, (first, second), strict=True)]
         yield boards
         for board in boards:
             board.end_programs()
@@ -197,11 +197,11 @@ def test_what_ctrl_c_cannot_remove_is_said(farm):
     subprocess.run(["mount", "-t", "tmpfs", "tmpfs", mounted], check=True)
     try:
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=60)
     finally:
         subprocess.run(["umount", mounted], check=True)
     assert process.returncode == 130
-    assert f"{folder.name} was given up, and {folder} stays on the target: " in said and "mounted" in said
+    assert f"{folder.name} was given up, and {folder} stays on the target: " in err and "mounted" in err
     assert not list(farm[1].work_dir.glob("runs/*/*"))
     assert main(words) == 0
     assert not list(farm[0].work_dir.glob("runs/*"))

@@ -48,7 +48,7 @@ class Board:
         self.trials = {}
         self.calls = []
         self.spent_s = 0.0
-        self.told = []
+        self.reported = []
 
     def measure(self, run):
         self.calls.append(run.name)
@@ -99,17 +99,17 @@ def rounds_of(board, groups, wanted):
         7,
         {group.name: NEEDED[wanted.boots] for group in groups},
         findings,
-        lambda progress, _: board.told.append(progress),
+        lambda progress, _: board.reported.append(progress),
     )
 
 
 def measure(board, groups, wanted, *, calls=10**9):
     """Follow the rounds as the campaign runner does, and be killed before call number `calls`; return the standings."""
     next_round = rounds_of(board, groups, wanted)
-    while each := next_round((), ()):
-        if f"boot{board.boot}" in each.used_boots:
+    while current_round := next_round((), ()):
+        if f"boot{board.boot}" in current_round.used_boots:
             board.boot += 1
-        for run in each.runs:
+        for run in current_round.runs:
             if len(board.calls) >= calls:
                 raise Killed
             board.measure(run)
@@ -158,7 +158,7 @@ def test_it_ends_when_the_time_is_over_and_not_later():
     board = Board({1000: 1e-3}, wanted=wanted)
     assert set(measure(board, groups, wanted).values()) == {Answer.NEEDS_MORE}
     assert 100 - LENGTH / 1000 - OVERHEAD_S <= board.spent_s <= 100 + OVERHEAD_S
-    assert board.told[-1][0].left_s is None or board.told[-1][0].left_s > 0
+    assert board.reported[-1][0].left_s is None or board.reported[-1][0].left_s > 0
 
 
 @pytest.mark.parametrize("misses", [{1000: 0.0, 500: 0.02, 250: 0.0}, {1000: 2e-4, 500: 0.0, 250: 3e-3}])
@@ -199,10 +199,10 @@ def test_what_is_left_falls_from_round_to_round():
     board = Board({1000: 0.0}, wanted=wanted)
     measure(board, groups, wanted)
     run_s = groups[0].expected_s + OVERHEAD_S
-    first, *others = [told[0].left_s for told in board.told]
+    first, *others = [progress[0].left_s for progress in board.reported]
     assert first == pytest.approx(6 * groups[0].expected_s), "what lies between runs is not known yet"
     # As long as the second boot is the shorter one, the first counts for no more than that.
-    assert others == pytest.approx([each * run_s for each in (5, 4, 3, 4, 2, 0)])
+    assert others == pytest.approx([count * run_s for count in (5, 4, 3, 4, 2, 0)])
     assert runs_left(groups[0], None, NEEDED[2], 2) == 6
 
 

@@ -144,10 +144,10 @@ def test_what_the_target_should_have_ended_is_given_up_and_counts_as_late(target
 
     interrupt(target, runs, wait, DeadlineExpired)
     assert not list(Path(target.work_dir).glob("runs/*/*"))
-    told = [f"{runs[1].name}: took longer than it may: sh: 75 s were over"]
-    assert lost(tmp_path / "results") == told
+    expected = [f"{runs[1].name}: took longer than it may: sh: 75 s were over"]
+    assert lost(tmp_path / "results") == expected
     assert measure(target, runs) == ["ok", "ok"]
-    assert lost(tmp_path / "results") == told, "whoever measures it again"
+    assert lost(tmp_path / "results") == expected, "whoever measures it again"
 
 
 @pytest.mark.parametrize("extra_s", [run_execution.HUNG_EXTRA_S, -60.0], ids=["in its time", "after its time"])
@@ -159,8 +159,8 @@ def test_ctrl_c_has_nothing_to_do_with_lateness_unless_it_hangs(
     interrupt(target, runs, failing(wishes, KeyboardInterrupt()), KeyboardInterrupt)
     assert measure(target, runs) == ["ok"]
     is_late = [
-        each.startswith(f"{runs[0].name}: took longer than it may: interrupted after ")
-        for each in lost(tmp_path / "results")
+        reason.startswith(f"{runs[0].name}: took longer than it may: interrupted after ")
+        for reason in lost(tmp_path / "results")
     ]
     assert is_late == [True] * (extra_s < 0)
 

@@ -70,8 +70,12 @@ def measured_on(results, runs):
     """Of each run the kernel that it was planned for, that it ran on, and its boot."""
     records = [record(results, run) for run in runs]
     return [
-        (each["kernel"], "rt" if each["target"]["preempt_rt"] else "standard", int(each["target"]["boot_id"][-3:]))
-        for each in records
+        (
+            measured["kernel"],
+            "rt" if measured["target"]["preempt_rt"] else "standard",
+            int(measured["target"]["boot_id"][-3:]),
+        )
+        for measured in records
     ]
 
 

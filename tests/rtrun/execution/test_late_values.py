@@ -53,7 +53,7 @@ def test_events_of_the_kernel(monkeypatch):
     for number in range(20):
         late.record(batch([number] * 9))
         late.cut(5)
-    assert [each.at_ns[0] for each in late._events] == [15, 16, 17, 18, 19]
+    assert [kept.at_ns[0] for kept in late._events] == [15, 16, 17, 18, 19]
     late.cut(late_values.KEPT_NS + 17)
     assert late._events_bytes == 3 * size
 
@@ -85,10 +85,10 @@ def test_traces_of_late_values_are_stored(tmp_path):
     late.record(batch([S - 2 * MS, S - 10, S + 10], hits=[hit(S, "take", tid=7)]))
     late.look(values("stream", [S]))
     late.cut(2 * S)
-    (one,) = late.streams["stream"].kept
-    lines = b"".join(one.text.pieces()).decode().splitlines()
+    (value,) = late.streams["stream"].kept
+    lines = b"".join(value.text.pieces()).decode().splitlines()
     assert ["callback_end" in line for line in lines] == [False, False, True, False]
-    assert one.tid == 7 and not list(tmp_path.iterdir()), "the file has a name"
+    assert value.tid == 7 and not list(tmp_path.iterdir()), "the file has a name"
 
 
 @pytest.mark.parametrize(
@@ -98,9 +98,9 @@ def test_traces_of_late_values_are_stored(tmp_path):
 def test_texts_beyond_their_limit(monkeypatch, tmp_path, limit, expected):
     monkeypatch.setattr(texts, limit, LIMIT)
     store = TextStore(tmp_path)
-    made = [store.add(["x" * 19, "\n"] * lines) for lines in ((1, 1, 1) if "ONE" not in limit else (1, 9, 1))]
-    assert [bool(text) for text in made] == expected
-    assert all(b"".join(text.pieces()) == b"x" * 19 + b"\n" for text in made if text)
+    stored = [store.add(["x" * 19, "\n"] * lines) for lines in ((1, 1, 1) if "ONE" not in limit else (1, 9, 1))]
+    assert [bool(text) for text in stored] == expected
+    assert all(b"".join(text.pieces()) == b"x" * 19 + b"\n" for text in stored if text)
 
 
 def test_texts_of_a_disk_that_is_full(monkeypatch):
@@ -119,8 +119,8 @@ def test_text_that_is_made_at_one_time(monkeypatch):
     late.record(batch(range(S - MS, S, MS // 10)))
     for source in range(3):
         late.look(values(source, [S]))
-    made = []
+    counts = []
     for _ in range(4):
         late.cut(2 * S)
-        made.append(sum(bool(one.kept[0].text) for one in late.streams.values()))
-    assert made == [1, 2, 3, 3]
+        counts.append(sum(bool(stream.kept[0].text) for stream in late.streams.values()))
+    assert counts == [1, 2, 3, 3]

@@ -113,9 +113,9 @@ def test_what_lies_beside_it_is_not_read(begin, inspect, link, folder, monkeypat
     assert resumption.may_run_go_on(link, campaign, ["gone", "run"])
     assert inspect().can_be_picked_up(["suite"], None)
     # Its group is told once it has joined that.
-    while "kill --" not in (told := busy(link)):
-        assert f"another run is still going on: {folder}/suite; " in told
-    assert re.search(r"kill -- -[0-9]+$", told)
+    while "kill --" not in (message := busy(link)):
+        assert f"another run is still going on: {folder}/suite; " in message
+    assert re.search(r"kill -- -[0-9]+$", message)
     processes.give_up(link, remote)
     resumption.check_idle(link)
     assert not folder.exists()

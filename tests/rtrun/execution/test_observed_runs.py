@@ -36,13 +36,13 @@ def silent_publisher():
 
 def untaken():
     """The subscriber takes nothing after ten seconds, and lives on."""
-    return [one for n in range(1, 6001) for one in (publish(n * 10 * MS), take(n * 10 * MS + 5, n * 10 * MS))
-            if one.event == "publish" or n <= 1000]  # fmt: skip
+    return [event for n in range(1, 6001) for event in (publish(n * 10 * MS), take(n * 10 * MS + 5, n * 10 * MS))
+            if event.event == "publish" or n <= 1000]  # fmt: skip
 
 
 def timer_that_is_not_called():
-    told = {"timer": 5, "period_ns": 10 * MS, "clock": "steady"}
-    return [hit(n * 10 * MS + 5, "timer_call", expected_ns=n * 10 * MS, **told) for n in range(1, 1001)]
+    timer = {"timer": 5, "period_ns": 10 * MS, "clock": "steady"}
+    return [hit(n * 10 * MS + 5, "timer_call", expected_ns=n * 10 * MS, **timer) for n in range(1, 1001)]
 
 
 def callback_without_an_end():
@@ -88,7 +88,7 @@ def test_what_hangs_for_good_misses_its_deadline(tmp_path, capsys, hits, deadlin
     flows.feed(hits())
     flows.finish(60 * S)
     case, written = gated(tmp_path, capsys, flows, f"{deadline}={limit}")
-    assert any(each.endswith(f": {silent}") for each in written.left_out) is bool(misses)
+    assert any(remark.endswith(f": {silent}") for remark in written.left_out) is bool(misses)
     assert (case["n"], case["misses"]) == (n + misses, misses)
 
 
@@ -102,7 +102,7 @@ def test_a_timer_that_always_overruns_misses_with_each_period_that_it_skips(tmp_
         flows.feed(calls[place : place + 100])
         row = live.snapshot(calls[min(place + 99, len(calls) - 1)].at_ns).rows[-1]
     late = [call.at_ns - call.values["expected_ns"] for call in calls]
-    misses = sum(each > MS for each in late) + skipped
+    misses = sum(late_ns > MS for late_ns in late) + skipped
     assert skipped > 150 and (row.misses, row.lost, row.worst_ns) == (misses, skipped, max(late))
     (stream,) = streams(flows)
     assert stream.period_ns == 10 * MS and stream.counts["skipped"] == skipped and stream.remarks == ()
@@ -115,8 +115,8 @@ def overrunning(number):
     period_ns, calls, skipped, now_ns, due_ns = 10 * MS, [], 0, 0, 10 * MS
     for _ in range(number):
         now_ns = max(now_ns, due_ns)
-        told = {"timer": 5, "period_ns": period_ns, "clock": "steady", "expected_ns": due_ns}
-        calls.append(hit(now_ns, "timer_call", **told))
+        timer = {"timer": 5, "period_ns": period_ns, "clock": "steady", "expected_ns": due_ns}
+        calls.append(hit(now_ns, "timer_call", **timer))
         following_ns = due_ns + period_ns
         if following_ns < now_ns:
             following_ns += (1 + (now_ns - following_ns - 1) // period_ns) * period_ns
@@ -128,10 +128,10 @@ def overrunning(number):
 
 def test_a_late_call_that_comes_first_after_a_gap_is_a_miss(tmp_path, capsys):
     """The live view and the verdict count the same."""
-    told = {"timer": 5, "period_ns": 10 * MS, "clock": "steady"}
+    timer = {"timer": 5, "period_ns": 10 * MS, "clock": "steady"}
     late = {1: 4 * MS, 300: 3 * MS, 700: 2 * MS}
     calls = [
-        hit(n * 10 * MS + late.get(n, 5), "timer_call", expected_ns=n * 10 * MS, **told)
+        hit(n * 10 * MS + late.get(n, 5), "timer_call", expected_ns=n * 10 * MS, **timer)
         for n in range(1, 1001)
         if not 100 <= n < 300
     ]
