@@ -116,14 +116,14 @@ def measure_on(
                 target, name, runs, results, observer, chosen=chosen, variants=variants, rounds=rounds
             )
     with contextlib.ExitStack() as stack:
-        lines = stack.enter_context(showing_boards([each.name for each in targets], console()))
+        lines = stack.enter_context(showing_boards([target.name for target in targets], console()))
         boards = [
             Board(
-                name=each.name,
-                connect=functools.partial(_connect, each, results, f"console-{each.name}.log", lines[each.name]),
-                observer=lines[each.name],
+                name=target.name,
+                connect=functools.partial(_connect, target, results, f"console-{target.name}.log", lines[target.name]),
+                observer=lines[target.name],
             )
-            for each in targets
+            for target in targets
         ]
         return campaign_runner.run_campaign_on_boards(
             boards, name, runs, results, observer, chosen=chosen, variants=variants, rounds=rounds
@@ -150,13 +150,13 @@ def print_failed(statuses: Mapping[str, RunStatus]) -> int:
 
 
 def _connect(
-    each: TargetFile, results: Path, console_log: str, observer: Observer, is_over: Callable[[], bool]
+    target: TargetFile, results: Path, console_log: str, observer: Observer, is_over: Callable[[], bool]
 ) -> AbstractContextManager[Target]:
     return connect(
-        each.config,
-        each.folder,
+        target.config,
+        target.folder,
         results / console_log,
         notify=observer.note,
         is_over=is_over,
-        preferred=place_of_begun(results, each.name),
+        preferred=place_of_begun(results, target.name),
     )

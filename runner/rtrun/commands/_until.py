@@ -58,11 +58,11 @@ def measure_until(
         return rounds(chosen, goal, campaign.seed or 0, measurements, findings, report_progress, len(targets))
 
     def print_progress(progress: Sequence[Progress], spent_s: float) -> None:
-        if all(each.standing is None for each in progress):
+        if all(group.standing is None for group in progress):
             return
         print_line(f"-- {duration(spent_s)} of at most {duration(goal.at_most_ns / 1e9)}")
-        for each in progress:
-            print_line(f"   {progress_line(each, goal)}")
+        for group in progress:
+            print_line(f"   {progress_line(group, goal)}")
 
     statuses: dict[str, RunStatus] = {}
     names = [target.name for target in targets]

@@ -92,9 +92,9 @@ def _add_annotate(parser: argparse.ArgumentParser) -> None:
     )
     what.add_argument("--withdraw", metavar="NAME", help="a note that no longer holds, by its name in the list")
     _add_who(parser)
-    for name, (option, of) in _TOLD_BY.items():
+    for name, (option, noun) in _TOLD_BY.items():
         parser.add_argument(
-            option, dest=f"of_{name}", type=_pattern, metavar="PATTERN", help=f"which {of}, as 'board-*' [all]"
+            option, dest=f"of_{name}", type=_pattern, metavar="PATTERN", help=f"which {noun}, as 'board-*' [all]"
         )
     parser.add_argument(
         "--from", dest="begin", type=_moment, metavar="TIME", help="first start, UTC, as 2026-11-24T10:00"
@@ -180,7 +180,7 @@ def _compact(args: argparse.Namespace) -> int:
     return 0
 
 
-def _said(args: argparse.Namespace, kind: "type[NoteT]", /, **fields: Any) -> "NoteT":
+def _note(args: argparse.Namespace, kind: "type[NoteT]", /, **fields: Any) -> "NoteT":
     """A note with its author, its time and its reason."""
     import getpass
     from datetime import UTC, datetime
@@ -203,7 +203,7 @@ def _retain(args: argparse.Namespace) -> int:
     from rtrun.archive.notes import RetainNote, add_note, in_words
     from rtrun.archive.store import open_archive
 
-    note = _said(args, RetainNote, table=args.table, days=args.age)
+    note = _note(args, RetainNote, table=args.table, days=args.age)
     print_line(in_words(add_note(open_archive(args.archive), note), note))
     return 0
 
@@ -225,12 +225,12 @@ def _annotate(args: argparse.Namespace) -> int:
             raise UsageError(
                 f"{args.archive}: no note {args.withdraw!r}: rtrun archive annotate {args.archive} lists them"
             )
-        notes.add_note(store, _said(args, notes.WithdrawNote, note=args.withdraw))
+        notes.add_note(store, _note(args, notes.WithdrawNote, note=args.withdraw))
         print_line(f"withdrawn: {notes.in_words(args.withdraw, held[args.withdraw])}")
     elif args.accept:
         if args.begin is None or args.end or not {*chosen} <= {"machine", "scenario"}:
             raise UsageError("--accept takes --from TIME, and --machine and --scenario alone beside it")
-        accept = _said(args, notes.AcceptNote, **chosen, begin=args.begin)
+        accept = _note(args, notes.AcceptNote, **chosen, begin=args.begin)
         number = sum(notes.fits_course(accept, row.machine, row.scenario) for row in read_runs(store))
         if not number:
             raise UsageError(f"{args.archive}: no run is of these boards and scenarios")
@@ -238,7 +238,7 @@ def _annotate(args: argparse.Namespace) -> int:
     elif args.known:
         if args.begin or args.end or not chosen or not {*chosen} <= {"machine", "scenario"}:
             raise UsageError("--known takes --machine, --scenario or both, and no time: it is of what is wrong now")
-        known = _said(args, notes.KnownNote, **chosen)
+        known = _note(args, notes.KnownNote, **chosen)
         fitting = (row for row in read_runs(store) if notes.fits_course(known, row.machine, row.scenario))
         if "scenario" in chosen and not any(fitting):
             raise UsageError(f"{args.archive}: no run is of these boards and scenarios")
@@ -246,7 +246,7 @@ def _annotate(args: argparse.Namespace) -> int:
     elif args.ignore:
         if not (chosen or args.begin or args.end):
             raise UsageError("--ignore: say which runs, as --machine board-3 --from 2026-11-20")
-        ignore = _said(args, notes.IgnoreNote, **chosen, begin=args.begin, end=args.end)
+        ignore = _note(args, notes.IgnoreNote, **chosen, begin=args.begin, end=args.end)
         rows = read_runs(store)
         number = sum(notes.fits_run(ignore, partial(getattr, row), row.start_utc) for row in rows)
         if not number:

@@ -51,27 +51,29 @@ def run(args: argparse.Namespace) -> int:
             f"{args.order}: none of its {len(order)} lines is the {args.by} of a run in {args.archive}: "
             f"rtrun archive add takes it with --{args.by.partition(' ')[0]}"
         )
-    suspects = [one for course in known for one in find_suspects(course, args.by, order, confidence=args.confidence)]
+    suspects = [
+        suspect for course in known for suspect in find_suspects(course, args.by, order, confidence=args.confidence)
+    ]
     if args.json:
         found = [
             {
-                "course": one.course.label,
-                "figure": one.figure,
-                "good": one.good,
-                "bad": one.bad,
-                "not_measured": one.between,
-                "measure_next": one.proposal,
+                "course": suspect.course.label,
+                "figure": suspect.figure,
+                "good": suspect.good,
+                "bad": suspect.bad,
+                "not_measured": suspect.between,
+                "measure_next": suspect.proposal,
             }
-            for one in suspects
+            for suspect in suspects
         ]
         print_json({"schema": 1, "by": args.by, "worse": found})
         return 0
     if not suspects:
         print_line("nothing got worse, as far as these versions are measured")
-    for one in suspects:
-        print_line(f"{one.course.label}: {one.figure} got worse between {one.good} and {one.bad}")
-        if one.proposal:
-            print_line(f"    measure {one.proposal}: {len(one.between)} between them are not measured")
+    for suspect in suspects:
+        print_line(f"{suspect.course.label}: {suspect.figure} got worse between {suspect.good} and {suspect.bad}")
+        if suspect.proposal:
+            print_line(f"    measure {suspect.proposal}: {len(suspect.between)} between them are not measured")
         else:
-            print_line(f"    {one.bad} is the first one that is worse")
+            print_line(f"    {suspect.bad} is the first one that is worse")
     return 0

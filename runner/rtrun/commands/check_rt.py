@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         kernel = " ".join([*facts.get("kernel", []), *facts.get("kernel_version", [])])
         head = {"schema": 2, "target": target.name, "platform": known.platform, "kernel": kernel, "ready": ready}
         clock = {name: facts.get(name, []) for name in ("clocksource", "clockevent")}
-        print_json({**head, **clock, "checks": [_as_json(each) for each in findings]})
+        print_json({**head, **clock, "checks": [_as_json(finding) for finding in findings]})
     else:
         _print(f"{target.name} ({target.address})", known.platform, findings)
     return 0 if ready else 1
@@ -86,9 +86,9 @@ def _print(target: str, platform: "Platform", findings: "list[CheckResult]") -> 
     from rtrun.report.terminal import banner_of
     from rtrun.targets.inspection.rt_readiness import SEVERITIES, SHOWN_LINES
 
-    faults = [each for each in findings if each.status == "fault"]
-    unknown = [each for each in findings if each.status == "unknown"]
-    counts = [(len([each for each in faults if each.check.severity == name]), name) for name in SEVERITIES]
+    faults = [finding for finding in findings if finding.status == "fault"]
+    unknown = [finding for finding in findings if finding.status == "unknown"]
+    counts = [(len([finding for finding in faults if finding.check.severity == name]), name) for name in SEVERITIES]
     summary = ", ".join(f"{count} {name}" for count, name in counts if count)
     words = banner_of(platform)
     banner = f" {words}." if words else ""
@@ -96,15 +96,17 @@ def _print(target: str, platform: "Platform", findings: "list[CheckResult]") -> 
         print_line(f"{target}: {len(faults)} of {len(findings)} checks find fault: {summary}.{banner}")
     else:
         print_line(f"{target}: nothing found in the way of real time, {len(findings)} checks.{banner}")
-    for each in faults:
+    for finding in faults:
         print_line()
-        print_line(f"{each.check.severity}: {each.check.name}")
-        for line in each.evidence[:SHOWN_LINES]:
+        print_line(f"{finding.check.severity}: {finding.check.name}")
+        for line in finding.evidence[:SHOWN_LINES]:
             print_line(f"  found   {line}")
-        if len(each.evidence) > SHOWN_LINES:
-            print_line(f"          and {len(each.evidence) - SHOWN_LINES} more like it")
-        print_line(f"  why     {each.check.why}")
-        print_line(f"  remedy  {each.check.advice}")
+        if len(finding.evidence) > SHOWN_LINES:
+            print_line(f"          and {len(finding.evidence) - SHOWN_LINES} more like it")
+        print_line(f"  why     {finding.check.why}")
+        print_line(f"  remedy  {finding.check.advice}")
     if unknown:
         print_line()
-        print_line(f"not to be seen: {', '.join(f'{each.check.name} ({each.evidence[0]})' for each in unknown)}")
+        print_line(
+            f"not to be seen: {', '.join(f'{finding.check.name} ({finding.evidence[0]})' for finding in unknown)}"
+        )

@@ -78,7 +78,7 @@ def _facts(place: "LabgridPlace", offered: "Sequence[OfferedResource]", last: "R
 
     resources = resources_of(place, offered)
     missing = unoffered(place, offered)
-    serial = [each for each in resources if "SerialPort" in each.kind]
+    serial = [resource for resource in resources if "SerialPort" in resource.kind]
     run = None
     if last is not None:
         names = ("run", "scenario", "start_utc", "status", "platform", "kernel_release", "temperature_max_mc")
@@ -93,7 +93,7 @@ def _facts(place: "LabgridPlace", offered: "Sequence[OfferedResource]", last: "R
         "failed_check": place.tags.get(FAILED),
         "not_offered": missing,
         "console": None if missing else "none" if not serial else "yes" if serial[0].is_available else "away",
-        "has_power_switch": None if missing else has_power([each.kind for each in resources]),
+        "has_power_switch": None if missing else has_power([resource.kind for resource in resources]),
         "power_cycles": power_cycles(place),
         "last_run": run,
     }
@@ -106,10 +106,10 @@ def _print(facts: "Sequence[dict[str, Any]]", *, with_runs: bool, as_json: bool)
     if as_json:
         print_json({"schema": 1, "places": facts})
         return
-    bad = [each for each in facts if each["quarantine"] or each["not_offered"]]
+    bad = [place for place in facts if place["quarantine"] or place["not_offered"]]
     print_line(f"{counted(len(facts), 'place')}, {len(bad)} of them cannot be measured on")
     columns = ("place", "state", "last run", "platform", "kernel", "max °C", "console", "power cycles")
-    console().print(Table(columns=columns, rows=[_row(each) for each in facts], numbers=(5, 7)))
+    console().print(Table(columns=columns, rows=[_row(place) for place in facts], numbers=(5, 7)))
     if not with_runs:
         print_note("rtrun: --archive ARCHIVE knows the last run of each")
 
@@ -133,18 +133,18 @@ def _state(facts: dict[str, Any]) -> str:
     from rtrun.targets.labgrid.coordinator import nobody_offers
     from rtrun.targets.labgrid.health import in_words
 
-    said = []
+    parts = []
     if facts["quarantine"]:
-        said.append(f"QUARANTINE: {in_words(facts['quarantine'])}")
+        parts.append(f"QUARANTINE: {in_words(facts['quarantine'])}")
     if facts["not_offered"]:
-        said.append(nobody_offers(facts["not_offered"]))
+        parts.append(nobody_offers(facts["not_offered"]))
     if facts["failed_check"]:
-        said.append(f"failed its last check: {in_words(facts['failed_check'])}")
+        parts.append(f"failed its last check: {in_words(facts['failed_check'])}")
     if facts["holder"]:
-        said.append(f"held by {facts['holder']}")
+        parts.append(f"held by {facts['holder']}")
     elif facts["is_reserved"]:
-        said.append("reserved")
-    return "; ".join(said) or "free"
+        parts.append("reserved")
+    return "; ".join(parts) or "free"
 
 
 def _check_all(
@@ -174,7 +174,7 @@ def _check_all(
                 print_line(f"{place.name}  {outcome}: {text}")
     if as_json:
         print_json({"schema": 1, "checks": checked})
-    return int(any(each["outcome"] not in ("passed", "not checked") for each in checked))
+    return int(any(check["outcome"] not in ("passed", "not checked") for check in checked))
 
 
 def _check(
@@ -194,13 +194,13 @@ def _check(
     from rtrun.targets.labgrid import health
     from rtrun.targets.labgrid.coordinator import QUARANTINE, LabgridClient, find_place, resources_of
 
-    kinds = {each.kind for each in resources_of(place, offered)}
+    kinds = {resource.kind for resource in resources_of(place, offered)}
     if kinds and "NetworkService" not in kinds:
         return "not checked", f"it has no NetworkService, only {', '.join(sorted(kinds))}"
-    one = config.model_copy(update={"place": place.name, "filter": {}})
+    of_place = config.model_copy(update={"place": place.name, "filter": {}})
     failure, text = None, ""
     try:
-        with linked(one, folder, about=f"{place.name}: ", is_check=True) as link:
+        with linked(of_place, folder, about=f"{place.name}: ", is_check=True) as link:
             text = check_health(link)
     except TargetGone as error:
         return "not checked", str(error)

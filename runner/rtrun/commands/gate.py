@@ -129,7 +129,7 @@ def _against(args: argparse.Namespace) -> "Gate":
 
     limits = (args.max_page_faults, args.max_allocations)
     of_deadline = (args.probability, args.confidence, args.bursts, args.tolerate, args.assume_independent, *limits)
-    if any(each not in (None, False) for each in of_deadline):
+    if any(value not in (None, False) for value in of_deadline):
         raise UsageError(
             "--probability, --confidence, --bursts, --tolerate, --assume-independent, --max-page-faults, "
             "--max-allocations: go without --against"

@@ -72,11 +72,11 @@ def run(args: argparse.Namespace) -> int:
         try:
             identity = Identity(**{**where, **(pattern.read(path) if pattern else {})})
             called = pattern.name_of(path) if pattern else None
-            made = adopt(
+            adopted = adopt(
                 path, args.results, platform=Platform(args.platform), identity=identity, called=called, given=given
             )
             set_latest(args.results)
-            for folder, left_out in made:
+            for folder, left_out in adopted:
                 record = read_record(folder)
                 runs.append(
                     {

@@ -146,13 +146,13 @@ def _lacks(link: "Link") -> list[str]:
     else:
         if equipment.installed("roscpp").server is None:
             lacks.append("ROS 1: neither /opt/ros/*/bin/rosmaster nor /usr/bin/rosmaster is there")
-        needed = {program for each in suites.suites().suites.values() for program in each.programs}
+        needed = {program for suite in suites.suites().suites.values() for program in suite.programs}
         if missing := sorted(needed - set(equipment.programs)):
             lacks.append(
                 f"{', '.join(missing)}: build them with {as_called('rtgen')} suites build, and name the folder that it "
                 "prints as suites in the target file, or build them on the board (docs/targets.md)"
             )
-    tools = {program for each in suites.baselines().suites.values() for program in each.programs}
+    tools = {program for baseline in suites.baselines().suites.values() for program in baseline.programs}
     for name in conditions.conditions().conditions:
         tools |= conditions.needs(name, {})
     priority = f"rt_priority={suites.options()['priority'].default}"
@@ -168,7 +168,7 @@ def _readiness(link: "Link", output: Path) -> str:
     from rtrun.targets.inspection import rt_readiness
 
     findings = rt_readiness.judge(rt_readiness.read_checks(), rt_readiness.read_facts(link))
-    grave = [each.check.name for each in rt_readiness.grave_faults(findings)]
+    grave = [fault.check.name for fault in rt_readiness.grave_faults(findings)]
     if not grave:
         return "nothing grave stands in the way of real time"
     explain = f"{as_called('rtrun')} check-rt --target {output}"

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.archive.receivers import Receivers, tell
 
     config = load(args.receivers, Receivers)
-    names = [each.name for each in config.receivers]
+    names = [receiver.name for receiver in config.receivers]
     if len({*names}) < len(names):
         raise UsageError(f"{args.receivers}: receivers: two of one name: what each was told is kept by its name")
     archive = read_whole(args)
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             farm = None
             failures.append(str(error))
         alarms += board_alarms(boards_of(archive.runs, farm), archive.notes)
-    told: list[dict[str, str]] = []
+    sent: list[dict[str, str]] = []
     messages = read_told(archive.store)
     check_memory(archive.store, messages, len(names))
     for receiver in config.receivers:
@@ -80,16 +80,16 @@ def run(args: argparse.Namespace) -> int:
         except (InfrastructureError, UsageError) as error:
             failures.append(str(error))
             continue
-        told += [{"receiver": receiver.name, "about": alarm.about, "size": alarm.size} for alarm in new]
+        sent += [{"receiver": receiver.name, "about": alarm.about, "size": alarm.size} for alarm in new]
         if not args.json:
             for alarm in new:
                 print_line(f"{receiver.name} was told: {alarm.about}: {alarm.size}")
     known = [{"about": alarm.about, "reason": alarm.known} for alarm in alarms if alarm.known]
     wrong = sum(alarm.kind != "new" for alarm in alarms)
     if args.json:
-        print_json({"schema": 1, "wrong": wrong, "told": told, "known": known, "failures": failures})
-    for each in () if args.json else known:
-        print_line(f"known: {each['about']}: {each['reason']}")
+        print_json({"schema": 1, "wrong": wrong, "told": sent, "known": known, "failures": failures})
+    for entry in () if args.json else known:
+        print_line(f"known: {entry['about']}: {entry['reason']}")
     if failures:
         raise InfrastructureError("\n".join(failures))
     if not args.json:

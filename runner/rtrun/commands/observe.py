@@ -117,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
     if args.until and (args.json or args.perfetto or args.list):
         raise UsageError("--until measures round by round: it takes neither --json nor --perfetto nor --list")
     campaign = _campaign(args, config.name)
-    (planned,) = (each for each in plan(campaign, "rtrun observe") if each.trace != UNTRACED)
+    (planned,) = (run for run in plan(campaign, "rtrun observe") if run.trace != UNTRACED)
     if args.list:
         return _list(args, config, planned)
     results: Path = args.results or default_results(config.name)
@@ -153,8 +153,8 @@ def _campaign(args: argparse.Namespace, name: str) -> "Campaign":
         "name": name,
         "subject": ATTACHED,
         "for": f"{seconds}.{rest_ns:09}s",
-        "deadlines": [each.text for each in args.deadline],
-        "paths": [",".join(each) for each in args.path],
+        "deadlines": [deadline.text for deadline in args.deadline],
+        "paths": [",".join(path) for path in args.path],
         "runs": [{SAMPLER: "none"} | ({"trace": {"above": args.trace}} if args.trace else {})],
     }
     if args.until:
@@ -261,12 +261,12 @@ def _print_list(watched: "Watched", graph: "RosGraph", loops: "Sequence[str]") -
         events.setdefault(probe.path, set()).add(probe.event)
     if not watched.found:
         print_line(observation.NOTHING)
-    for each in watched.found:
-        program = each.program
+    for found in watched.found:
+        program = found.program
         print_line(f"{label_of(program)} (pid {program.pid}), {counted(len(program.threads), 'thread')}")
     for node in graph.nodes:
-        of = f" of pid {node.pid}" if node.pid is not None else ""
-        print_line(f"node {node.name}{of}{': serves ' if node.serves else ''}{', '.join(node.serves)}")
+        process = f" of pid {node.pid}" if node.pid is not None else ""
+        print_line(f"node {node.name}{process}{': serves ' if node.serves else ''}{', '.join(node.serves)}")
     for topic, (publishers, subscribers) in sorted(graph.topics.items()):
         ends = (", ".join(nodes) or "nobody" for nodes in (publishers, subscribers))
         print_line(f"topic {topic}: {' to '.join(ends)}")
@@ -274,7 +274,7 @@ def _print_list(watched: "Watched", graph: "RosGraph", loops: "Sequence[str]") -
         print_line(f"{path}: {', '.join(sorted(measured))}")
     for text in loops:
         print_line(text)
-    for text in hazards([each.program for each in watched.found]):
+    for text in hazards([found.program for found in watched.found]):
         print_line(text)
     left_out = [left_out_in_words(watched.left_out)] if watched.left_out else []
     for text in (*left_out, *refusals(watched.placement.refused), *graph.remarks):

@@ -83,9 +83,9 @@ def run(args: argparse.Namespace) -> int:
     for number, block in enumerate(divided):
         if block[0].kernel:
             print_line(f"-- {'restart into ' if number else ''}kernel {block[0].kernel}")
-        for each in block:
-            settling = f" + {each.settle_s:g} s for the load to settle" if each.settle_s else ""
-            print_line(f"{each.name}  {each.expected_s:.1f} s{settling}")
+        for run in block:
+            settling = f" + {run.settle_s:g} s for the load to settle" if run.settle_s else ""
+            print_line(f"{run.name}  {run.expected_s:.1f} s{settling}")
     restarts = len(divided) - 1
     times = _times(runs, restarts)
     settling = f", {duration(times['settling_s'])} for loads to settle" if times["settling_s"] else ""
@@ -141,10 +141,10 @@ def _times(runs: "Sequence[Run]", restarts: int) -> dict[str, float]:
     from rtrun.plan.run import RESTART_S, SET_UP_S
 
     return {
-        "total_s": SET_UP_S + sum(each.total_s for each in runs) + restarts * RESTART_S,
-        "measuring_s": sum(each.expected_s for each in runs),
-        "settling_s": sum(each.settle_s for each in runs),
-        "start_and_end_s": SET_UP_S + sum(each.start_and_end_s for each in runs),
+        "total_s": SET_UP_S + sum(run.total_s for run in runs) + restarts * RESTART_S,
+        "measuring_s": sum(run.expected_s for run in runs),
+        "settling_s": sum(run.settle_s for run in runs),
+        "start_and_end_s": SET_UP_S + sum(run.start_and_end_s for run in runs),
         "restarting_s": restarts * RESTART_S,
     }
 
@@ -194,7 +194,7 @@ def _prices_of_bursts(goal: "Goal", groups: "Sequence[Run]") -> "dict[int, Outlo
     forecasts = {
         length: next(_forecasts(goal.model_copy(update={"bursts": length}), groups, None)) for length in lengths
     }
-    return {length: each.outlook for length, each in forecasts.items() if each.outlook is not None}
+    return {length: forecast.outlook for length, forecast in forecasts.items() if forecast.outlook is not None}
 
 
 def _slowest_load_s(goal: "Goal", groups: "Sequence[Run]", forecasts: Sequence[_Forecast]) -> float | None:
@@ -230,8 +230,8 @@ def _goal_lines(
     from rtrun.plan.question import unlike_share
     from rtrun.plan.suites import suite
 
-    of = {suite(each.suite).judged(goal.of) for each in runs}
-    asked = replace(goal.question, of=of.pop() if len(of) == 1 else None)
+    measures = {suite(run.suite).judged(goal.of) for run in runs}
+    asked = replace(goal.question, of=measures.pop() if len(measures) == 1 else None)
     at_most_s = goal.at_most_ns / 1e9
     yield (
         f"until P({asked.miss}) is proven or refuted to be below {goal.probability:g}, "
@@ -242,17 +242,18 @@ def _goal_lines(
         f"on {counted(goal.boots, 'boot')}: boots of another kind may be up to {share} of all; "
         f"a proof covers {goal.question.covered}{_default_in_words(goal, runs)}"
     )
-    for each in forecasts:
-        name = f"if {each.assumed_rate} of all measurements miss it" if each.assumed_rate else "without a miss"
-        if each.outlook is None:
+    for forecast in forecasts:
+        name = f"if {forecast.assumed_rate} of all measurements miss it" if forecast.assumed_rate else "without a miss"
+        if forecast.outlook is None:
             yield f"{name}: no number of measurements is likely to decide it"
             continue
-        restarts = f" and {counted(each.outlook.boots - 1, 'restart')}" if goal.boots > 1 else ""
-        longer = ", longer than at_most" if each.outlook.total_s > at_most_s else ""
-        chance = " nine times in ten" if each.assumed_rate else ""
+        restarts = f" and {counted(forecast.outlook.boots - 1, 'restart')}" if goal.boots > 1 else ""
+        longer = ", longer than at_most" if forecast.outlook.total_s > at_most_s else ""
+        chance = " nine times in ten" if forecast.assumed_rate else ""
         yield (
-            f"{name}: {each.answer} after {counted(each.outlook.rounds, 'round')}{restarts}{chance}, about "
-            f"{duration(each.outlook.total_s)}, of which {duration(each.outlook.measuring_s)} are measuring{longer}"
+            f"{name}: {forecast.answer} after {counted(forecast.outlook.rounds, 'round')}{restarts}{chance}, about "
+            f"{duration(forecast.outlook.total_s)}, of which {duration(forecast.outlook.measuring_s)} "
+            f"are measuring{longer}"
         )
     for length, outlook in prices.items():
         covered = f"bursts of {length}" if length > 1 else "single misses"
@@ -271,7 +272,7 @@ def _default_in_words(goal: "Goal", groups: "Sequence[Run]") -> str:
 def _observed_goal_line(goal: "Goal", deadlines: "Sequence[StreamDeadline]") -> str:
     return (
         f"until P(miss) is proven or refuted to be below {goal.probability:g} for each of "
-        f"{', '.join(each.text for each in deadlines)}, confidence {goal.confidence:g}, in at most "
+        f"{', '.join(deadline.text for deadline in deadlines)}, confidence {goal.confidence:g}, in at most "
         f"{duration(goal.at_most_ns / 1e9)}: each round observes again, how many it takes is not known beforehand"
     )
 
@@ -293,25 +294,25 @@ def _as_data(campaign: "Campaign", runs: "Sequence[Run]", forecasts: Sequence[_F
         "restarts": restarts,
         "runs": [
             {
-                "run": each.name,
-                "suite": each.suite,
-                "parameters": dict(each.parameters),
-                "condition": each.condition,
-                "settings": dict(each.settings),
-                "repeat": each.repeat,
-                "variant": each.variant,
-                "kernel": each.kernel,
-                "trace": each.trace,
-                **({each.subject.word: asdict(each.subject)} if each.subject.makes_streams else {}),
-                "expected_s": each.expected_s,
-                "settle_s": each.settle_s,
+                "run": run.name,
+                "suite": run.suite,
+                "parameters": dict(run.parameters),
+                "condition": run.condition,
+                "settings": dict(run.settings),
+                "repeat": run.repeat,
+                "variant": run.variant,
+                "kernel": run.kernel,
+                "trace": run.trace,
+                **({run.subject.word: asdict(run.subject)} if run.subject.makes_streams else {}),
+                "expected_s": run.expected_s,
+                "settle_s": run.settle_s,
             }
-            for each in runs
+            for run in runs
         ],
         "goal": goal
         and {
             **goal.model_dump(),
-            "forecasts": [asdict(each) for each in forecasts],
+            "forecasts": [asdict(forecast) for forecast in forecasts],
             "slowest_load_s": slowest_s,
         },
     }

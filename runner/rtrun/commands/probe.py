@@ -71,9 +71,9 @@ def run(args: argparse.Namespace) -> int:
         "free on disk": f"{equipment.free_bytes // 2**20} MiB in {target.work_dir}",
         **{name: _middleware(equipment.installed(name), SERVICES[name], runs) for name, runs in services.items()},
         **{
-            name: " or ".join(one.several) or one.version
-            for name, one in equipment.middlewares.items()
-            if name not in SERVICES and (one.several or one.version)
+            name: " or ".join(installed.several) or installed.version
+            for name, installed in equipment.middlewares.items()
+            if name not in SERVICES and (installed.several or installed.version)
         },
         "suites": suites,
         **({"built with": ", ".join(map(" ".join, equipment.built_with.items()))} if equipment.built_with else {}),

@@ -232,7 +232,7 @@ def _as_data(
         "groups": groups,
         "left_out": study.left_out,
         "why_late": written.why_late,
-        "in_the_way": [each.check.name for each in rt_readiness.grave_faults(findings)],
+        "in_the_way": [fault.check.name for fault in rt_readiness.grave_faults(findings)],
     }
 
 
@@ -281,7 +281,7 @@ def _print(
         print_line(sentences.answers_in_words(answers, one_in(probability)))
     if written.why_late:
         print_line(f"why it was late: {written.why_late}")
-    grave = [each.check.name for each in rt_readiness.grave_faults(findings)]
+    grave = [fault.check.name for fault in rt_readiness.grave_faults(findings)]
     folder, file = shlex.quote(str(results)), shlex.quote(str(target))
     explain = f"; {call} check-rt --target {file} says why, and the remedy"
     print_line(f"in the way of real time: {', '.join(grave) + explain if grave else 'nothing grave'}")

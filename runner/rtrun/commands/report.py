@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     if written.banner:
         print_line(written.banner)
     print_line(written.answer)
-    answered = [one for one in written.scenarios if one.group.question]
+    answered = [scenario for scenario in written.scenarios if scenario.group.question]
     if answered:
         console().print(sentences.lines(analysed, answered))
     screen.print_figures([group for group in analysed.answers if group.question is None])
@@ -136,10 +136,10 @@ def _format(given: str | None, output: Path | None) -> str:
     from rtfiles.errors import UsageError
 
     ending = output.suffix.removeprefix(".").lower() if output is not None else ""
-    by_ending = next((name for name, each in _ENDINGS.items() if each == ending), None)
+    by_ending = next((name for name, suffix in _ENDINGS.items() if suffix == ending), None)
     if given is not None and by_ending not in (None, given):
         raise UsageError(f"--format {given}, --output {output}: a file that ends in .{ending} holds {by_ending}")
     if ending and given is None and by_ending is None:
-        endings = ", ".join(f".{each}" for each in _ENDINGS.values())
+        endings = ", ".join(f".{suffix}" for suffix in _ENDINGS.values())
         raise UsageError(f"--output {output}: which format? End it in one of {endings}, or name one by --format")
     return given or by_ending or "html"

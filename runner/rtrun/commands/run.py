@@ -92,7 +92,7 @@ def _list_runs(chosen: "Sequence[Run]", planned: int, results: Path, *, as_json:
     from rtfiles.output import print_json, print_line
     from rtrun.results.record import is_finished
 
-    is_done = {each.name: is_finished(results / each.name) for each in chosen}
+    is_done = {run.name: is_finished(results / run.name) for run in chosen}
     if as_json:
         print_json({"schema": 1, "runs": [{"run": name, "is_finished": done} for name, done in is_done.items()]})
         return 0
@@ -127,7 +127,7 @@ def _measure(
             unfinished = {run.name for _, run in campaign_runner.find_unfinished(results, campaign.name, runs, *names)}
             if unfinished.isdisjoint(run.name for run in chosen):
                 shown.note(f"all {len(chosen)} runs are finished in {results}; --fresh measures again beside them")
-                statuses = {each.name: RunStatus.OK for each in chosen}
+                statuses = {run.name: RunStatus.OK for run in chosen}
             else:
                 variants = variants_of(campaign, args.campaign.parent)
                 statuses = measure_on(targets, campaign.name, runs, results, shown, variants=variants, chosen=chosen)
@@ -137,6 +137,6 @@ def _measure(
         print_line(kept)
         raise
     console().print(terminal.answer_of_runs(read_runs(results)), crop=False)
-    for line in remarks_of(results / each.name for each in chosen):
+    for line in remarks_of(results / run.name for run in chosen):
         print_line(line)
     return statuses

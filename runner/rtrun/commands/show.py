@@ -68,13 +68,13 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
         from rtrun.results.record import is_closed
 
         if is_closed(path) or not any(child.is_dir() for child in path.iterdir()):
-            one = reading.read_run(path)
-            return {"schema": 2, **_run_data(one)}, terminal.answer_of_run(one), ()
+            closed = reading.read_run(path)
+            return {"schema": 2, **_run_data(closed)}, terminal.answer_of_run(closed), ()
         of_folder = reading.read_runs(path)
         data = {
             "schema": 2,
-            "platform": weakest(one.record.platform for one in of_folder.runs),
-            "runs": [_run_data(one) for one in of_folder.runs],
+            "platform": weakest(run.record.platform for run in of_folder.runs),
+            "runs": [_run_data(run) for run in of_folder.runs],
             "incomplete": list(of_folder.incomplete),
         }
         return data, terminal.answer_of_runs(of_folder), of_folder.refused
@@ -83,7 +83,9 @@ def _read(path: Path) -> "tuple[dict[str, Any], Group, tuple[str, ...]]":
     from rtrun.results.series import read_file, results_of
 
     results = results_of(read_file(path))
-    data = {"results": [_result_data(one) for one in results]} if path.suffix != ".log" else _result_data(results[0])
+    data = (
+        {"results": [_result_data(result) for result in results]} if path.suffix != ".log" else _result_data(results[0])
+    )
     return {"schema": 1, **data}, terminal.answer(results, platform=Platform.HARDWARE), ()
 
 
@@ -103,7 +105,7 @@ def _run_data(run: "ClosedRun") -> dict[str, Any]:
     )
     rates = {name: rate.model_dump() for name, rate in record.rates.items()}
     head = {**{key: getattr(record, key) for key in keys}, "rates": rates}
-    return {**head, "results": [_result_data(one) for one in run.results]}
+    return {**head, "results": [_result_data(result) for result in run.results]}
 
 
 def _result_data(result: "Result") -> dict[str, Any]:

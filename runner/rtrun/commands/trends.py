@@ -33,8 +33,8 @@ def run(args: argparse.Namespace) -> int:
         data = {"schema": 1, "deadline_ns": args.deadline, "changes": [as_data(trend) for trend in shown]}
         print_json(data)
         return 0
-    boots = len({run.boot for one in known for run in one.runs})
-    missed = sum(one.off_rate for one in known)
+    boots = len({run.boot for course in known for run in course.runs})
+    missed = sum(course.off_rate for course in known)
     left_out = f", without {counted(missed, 'run')} that missed the rate that was asked for" if missed else ""
     rests_on = f"{counted(len(known), 'course')}, of {counted(boots, 'boot')}{left_out}"
     print_line(f"{counted(len(shown), 'change')} in {rests_on}")

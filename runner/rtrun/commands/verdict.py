@@ -51,7 +51,7 @@ def print_answers(study: "Study") -> None:
 
     print_banner(study.platform, study.preempt_rt)
     every = standings(study)
-    groups = [each for each in every if each.has_deadline]
+    groups = [standing for standing in every if standing.has_deadline]
     if groups:
         print_line(question(study))
     if groups:

@@ -42,13 +42,13 @@ def run(args: argparse.Namespace) -> int:
         refuse_trace_cmd(args.results)
         raise UsageError(f"{args.results}: not a results folder or a run directory")
     ranking, explained, refused = causes.ranked(source)
-    of = args.of
-    if of is None and (goal := read_goal(args.results)):
-        of = goal.of or LATENESS
-    periods, not_searched = causes.periods(source, of)
+    measure = args.of
+    if measure is None and (goal := read_goal(args.results)):
+        measure = goal.of or LATENESS
+    periods, not_searched = causes.periods(source, measure)
     table = causes.table(ranking, explained)
-    cost, not_compared = tracing_cost_at(source, of)
-    surroundings, not_held = causes.surroundings(source, of)
+    cost, not_compared = tracing_cost_at(source, measure)
+    surroundings, not_held = causes.surroundings(source, measure)
     paths, not_cut = late_paths.late_paths([late_paths.run_of(folder) for folder in source.folders])
     if explained or refused or paths is None:
         outcome = f"{table.outcome if explained or refused else causes.no_traces(source)}."
@@ -61,17 +61,23 @@ def run(args: argparse.Namespace) -> int:
         atomic.write_named(args.perfetto, perfetto(explained))
     if args.json:
         found = causes.as_data(ranking, explained)
-        others = {each.id: each.as_data() for each in (paths, periods, surroundings, cost) if each is not None}
+        others = {
+            section.id: section.as_data() for section in (paths, periods, surroundings, cost) if section is not None
+        }
         print_json({"schema": 1, "outcome": outcome, **found, **others, "problems": problems})
         return UsageError.exit_status if problems else 0
     print_line(outcome)
     advice = tuple(causes.remedies(ranking))
     for note in advice:
         print_line(note)
-    worst = sorted((one for one in explained if one.parts), key=lambda one: one.outlier.value_ns, reverse=True)
-    for one in worst if args.all else worst[:SHOWN]:
+    worst = sorted(
+        (explanation for explanation in explained if explanation.parts),
+        key=lambda explanation: explanation.outlier.value_ns,
+        reverse=True,
+    )
+    for explanation in worst if args.all else worst[:SHOWN]:
         print_line()
-        for line in causes.lines(one, every=args.all):
+        for line in causes.lines(explanation, every=args.all):
             print_line(line)
     if len(worst) > SHOWN and not args.all:
         print_line()
@@ -80,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         print_line()
         print_line(f"{table.title}:")
         console().print(table)
-    for note in (*table.notes[len(advice) :], *thresholds([read_record(folder) for folder in source.folders], of)):
+    for note in (*table.notes[len(advice) :], *thresholds([read_record(folder) for folder in source.folders], measure)):
         print_line(note)
     for more in (causes.step_table(explained), paths, periods, surroundings, cost):
         if more is not None and more.rows:

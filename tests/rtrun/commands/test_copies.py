@@ -22,11 +22,11 @@ def test_a_copy_passes_no_gate_and_enters_no_archive(tmp_path, capsys):
     shutil.copytree(results / "000", results / "000-copy")
     capsys.readouterr()
     assert main(["gate", str(results), *QUESTION]) == 1
-    said = capsys.readouterr().out
-    assert "000-copy" in said and "are of the same attempt, and neither counts: remove the copy" in said
+    printed = capsys.readouterr().out
+    assert "000-copy" in printed and "are of the same attempt, and neither counts: remove the copy" in printed
     assert main(["archive", "add", str(results), "--to", str(tmp_path / "archive")]) == 1
-    said = "".join(capsys.readouterr())
-    assert "000: a copy? it and 000-copy are of the same attempt" in said
+    printed = "".join(capsys.readouterr())
+    assert "000: a copy? it and 000-copy are of the same attempt" in printed
 
 
 def test_samples_tell_a_copy_whose_record_was_changed(tmp_path, capsys):
@@ -56,8 +56,8 @@ def test_two_streams_of_one_run_with_the_same_times_are_no_copies(tmp_path, caps
         record = tmp_path / name / "run.json"
         record.write_text(record.read_text().replace('"/x"', f'"{path}"'))
     assert main(["verdict", str(tmp_path), *QUESTION]) == 0
-    said = capsys.readouterr().out
-    assert "b: a copy? it and c hold the same samples" in said and "a: a copy?" not in said
+    printed = capsys.readouterr().out
+    assert "b: a copy? it and c hold the same samples" in printed and "a: a copy?" not in printed
 
 
 def test_a_log_that_was_appended_to_does_not_count_twice(tmp_path, capsys):
@@ -66,5 +66,5 @@ def test_a_log_that_was_appended_to_does_not_count_twice(tmp_path, capsys):
     oneshot_run(tmp_path, "a", values[:4000], attempt="one")
     oneshot_run(tmp_path, "b", values, attempt="two")
     assert main(["gate", str(tmp_path), *QUESTION]) == 1
-    said = capsys.readouterr().out
-    assert "a: a copy? a part of it and of b is the same, and neither counts" in said
+    printed = capsys.readouterr().out
+    assert "a: a copy? a part of it and of b is the same, and neither counts" in printed

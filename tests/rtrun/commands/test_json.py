@@ -46,9 +46,9 @@ def test_it_is_one_object_with_a_schema(folder, capsys, monkeypatch, command):
 def test_every_command_that_takes_json_is_here():
     """But for those that need a target: `tests/rtrun/targets` and `tests/suites` have them."""
     takes = {
-        called_as(each.__name__)
-        for each in commands_of("rtrun", rtrun.cli.COMMANDS)
-        if "--json" in help_of(called_as(each.__name__))
+        called_as(module.__name__)
+        for module in commands_of("rtrun", rtrun.cli.COMMANDS)
+        if "--json" in help_of(called_as(module.__name__))
     }
     assert takes == {command.split()[0] for command in COMMANDS} | {
         "probe", "check-rt", "observe", "influence", "farm", "quick"
@@ -64,7 +64,7 @@ def help_of(name):
 def test_parts_of_an_outlier_add_up_and_a_damaged_run_is_told(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     main(["why", "traced", "--json"])
-    (outlier,) = (one for one in json.loads(capsys.readouterr().out)["outliers"] if one["parts"])
+    (outlier,) = (outlier for outlier in json.loads(capsys.readouterr().out)["outliers"] if outlier["parts"])
     assert sum(part["length_ns"] for part in outlier["parts"]) == outlier["value_ns"]
     (path,) = (folder / "traced").rglob("*-trace-*.txt")
     path.write_bytes(path.read_bytes() + b"x")

@@ -82,7 +82,7 @@ def test_the_logs_of_real_samples_say_the_same_in_whole_microseconds() -> None:
         for ending in ("-measured", "-reported", "-diff"):
             name = name.removesuffix(ending)
         samples = SUITES / f"{name}.npy"
-        figures = next(with_startup(one) for one in read_file(samples) if one.header.series == log.series)
+        figures = next(with_startup(series) for series in read_file(samples) if series.header.series == log.series)
         assert (log.remarks, log.incomplete) == ((), None if figures.n else "nothing came for 1 s, no message came")
         assert (int(log.count.sum()), log.missing) == (figures.n, read_samples(samples).record.counts.missing)
         if log.series not in ("reported", "difference_2014"):

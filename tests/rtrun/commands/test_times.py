@@ -14,8 +14,8 @@ NS = {"90s": 90 * 10**9, "5m": 300 * 10**9, "8h": 28_800 * 10**9, "2d": 172_800 
 def actions(parser, words=()):
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            for name, each in action.choices.items():
-                yield from actions(each, (*words, name))
+            for name, subparser in action.choices.items():
+                yield from actions(subparser, (*words, name))
         elif action.type is not None:
             yield (*words, action.option_strings[0] if action.option_strings else action.dest), action
 

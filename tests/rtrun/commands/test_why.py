@@ -111,10 +111,10 @@ def test_an_idle_cpu_that_the_thread_could_not_use_is_said(tmp_path, capsys):
     text = head(1000, 3, 5000) + switch(3000, other, me, cpu=1) + switch(3500, me, other, cpu=1)
     text += switch(4000, me, hog, state="R") + switch(4200, other, idle, cpu=1) + switch(4990, hog, me)
     text += line(5001, "local_timer_entry: vector=1")
-    said = "  meanwhile CPU 1 was idle for 790 us: its affinity excludes it"
+    sentence = "  meanwhile CPU 1 was idle for 790 us: its affinity excludes it"
     for name, trace, is_said in (("idle", text, True), ("busy", text.replace("next_pid=0 ", "next_pid=7 "), False)):
         assert main(["why", str(write_traced_run(tmp_path / name, {3: trace}, [1]))]) == 0
-        assert (said in capsys.readouterr().out) is is_said
+        assert (sentence in capsys.readouterr().out) is is_said
 
 
 def test_who_took_little_is_counted(tmp_path, capsys):
