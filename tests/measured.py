@@ -64,7 +64,7 @@ def measured(
         subprocess.TimeoutExpired: it was ended, and its process group.
     """
     reading, writing = os.pipe()
-    with os.fdopen(reading) as told:
+    with os.fdopen(reading) as report:
         words = [sys.executable, "-I", "-S", "-c", _LAUNCHER, str(writing), *map(str, argv)]
         try:
             process = subprocess.Popen(
@@ -85,7 +85,7 @@ def measured(
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             raise
-        status, cpu_s, peak_kib = told.read().split()
+        status, cpu_s, peak_kib = report.read().split()
     if check and status != "0":
         raise subprocess.CalledProcessError(int(status), list(map(str, argv)), stdout, stderr)
     return Measured(

@@ -63,7 +63,7 @@ def mutants_of(path: Path, rng: random.Random) -> Iterator[Mutant]:
         starts.append(starts[-1] + len(line))
     name = str(path.relative_to(ROOT))
 
-    def made(node: ast.expr, begin: int, end: int, now: str) -> Mutant:
+    def mutant(node: ast.expr, begin: int, end: int, now: str) -> Mutant:
         return Mutant(path=name, line=node.lineno, begin=begin, end=end, was=source[begin:end].decode(), now=now)
 
     def place(line: int | None, column: int | None) -> int:
@@ -78,7 +78,7 @@ def mutants_of(path: Path, rng: random.Random) -> Iterator[Mutant]:
             continue
         if isinstance(node, ast.Constant) and type(node.value) in (int, float):
             begin, end = place(node.lineno, node.col_offset), place(node.end_lineno, node.end_col_offset)
-            yield made(node, begin, end, changed(node.value, rng))
+            yield mutant(node, begin, end, changed(node.value, rng))
         elif isinstance(node, ast.Compare):
             for left, operator, right in zip([node.left, *node.comparators], node.ops, node.comparators, strict=False):
                 begin = place(left.end_lineno, left.end_col_offset)
@@ -86,7 +86,7 @@ def mutants_of(path: Path, rng: random.Random) -> Iterator[Mutant]:
                 between = source[begin:end].decode()
                 # With brackets between, the place is not certain.
                 if between.strip(" \n") in COMPARED.values():
-                    yield made(left, begin, end, f" {COMPARED[type(operator)]} ")
+                    yield mutant(left, begin, end, f" {COMPARED[type(operator)]} ")
 
 
 def changed(number: int | float, rng: random.Random) -> str:
@@ -117,7 +117,11 @@ def tests_of_lines(folder: Path) -> tuple[Lines, dict[str, float]]:
         kept.parent.mkdir(parents=True, exist_ok=True)
         kept.write_text(json.dumps({"state": state, **_traced(folder)}))
     found = json.loads(kept.read_text())
-    lines = {(path, int(line)): names for path, of in found["lines"].items() for line, names in of.items()}
+    lines = {
+        (path, int(line)): names
+        for path, names_by_line in found["lines"].items()
+        for line, names in names_by_line.items()
+    }
     return lines, found["seconds"]
 
 
@@ -143,8 +147,8 @@ def _traced(folder: Path) -> dict[str, object]:
     )
     lines: dict[str, dict[str, list[str]]] = {}
     for path, found in json.loads((tree / "lines.json").read_text())["files"].items():
-        of = {line: sorted(filter(None, map(_node_id, names))) for line, names in found["contexts"].items()}
-        lines[path] = {line: names for line, names in of.items() if names}
+        tests_by_line = {line: sorted(filter(None, map(_node_id, names))) for line, names in found["contexts"].items()}
+        lines[path] = {line: names for line, names in tests_by_line.items() if names}
     return {"lines": lines, "seconds": seconds}
 
 
@@ -190,7 +194,7 @@ def examine(work: tuple[Mutant, Sequence[str], float, Path]) -> str:
 def chosen(names: Sequence[str], seconds: Mapping[str, float]) -> tuple[list[str], float]:
     """The quickest of these tests, and how long they take."""
     tests, total_s = [], 0.0
-    for name in sorted(names, key=lambda each: seconds.get(each, 0.0)):
+    for name in sorted(names, key=lambda test: seconds.get(test, 0.0)):
         total_s += seconds.get(name, 0.0)
         if tests and total_s > TESTS_S:
             break
@@ -206,7 +210,7 @@ def main() -> int:
     rows = [line.split("\t") for line in EQUIVALENT.read_text().splitlines() if line and not line.startswith("#")]
     equivalent = {(path, was, now) for path, was, now, _ in rows}
     mutants = sample(args.seed, args.number)
-    real = [each for each in mutants if (each.path, each.was.strip(), each.now.strip()) not in equivalent]
+    real = [mutant for mutant in mutants if (mutant.path, mutant.was.strip(), mutant.now.strip()) not in equivalent]
     with tempfile.TemporaryDirectory(prefix="rt-tests-mutants-") as name:
         folder = Path(name)
         lines, seconds = tests_of_lines(folder)

@@ -37,7 +37,7 @@ def commands(page: Path) -> Iterator[str]:
             continue
         for command in re.findall(r"`(?:\.venv/bin/)?((?:rtgen|rtrun) [^`]+)`", line):
             program, name, *rest = command.split()
-            if rest and any(name == called_as(each.__name__) for each in COMMANDS[program]):
+            if rest and any(name == called_as(module.__name__) for module in COMMANDS[program]):
                 yield command
 
 

@@ -28,7 +28,12 @@ def imports(package: ModuleType) -> dict[str, set[str]]:
     top = Path(str(package.__file__)).parent
     paths = {".".join(path.relative_to(top.parent).with_suffix("").parts): path for path in top.rglob("*.py")}
     return {
-        name: {module for each in _imported(path) for module in (each, each.rpartition(".")[0]) if module in paths}
+        name: {
+            module
+            for imported in _imported(path)
+            for module in (imported, imported.rpartition(".")[0])
+            if module in paths
+        }
         for name, path in paths.items()
     }
 

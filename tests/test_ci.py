@@ -154,13 +154,13 @@ def test_the_pages_become_a_site(checkout):
 def lab(checkout):
     """The folder of docs/lab.md, whose `rtrun run` leaves the campaign in the folder that it is given last."""
     rtrun = checkout / ".venv/bin/rtrun"
-    made = 'for last; do :; done; mkdir -p results && cp -r made "$last"; exit "${MEASURED:-0}"'
-    rtrun.write_text(f'#!/bin/sh\n[ $1 = run ] && {{ {made}; }}\nexec {sys.executable} -m rtrun.cli "$@"\n')
+    measure = 'for last; do :; done; mkdir -p results && cp -r made "$last"; exit "${MEASURED:-0}"'
+    rtrun.write_text(f'#!/bin/sh\n[ $1 = run ] && {{ {measure}; }}\nexec {sys.executable} -m rtrun.cli "$@"\n')
     (checkout / "bin/rtrun").symlink_to(rtrun)
     (checkout / "bin/gh").write_text('#!/bin/sh\necho "$*" >gh; cat >>gh\n')
     (checkout / "bin/gh").chmod(0o755)
-    told = {"name": "log", "kind": "command", "command": ["tee", "told"]}
-    (checkout / "receivers.yml").write_text(yaml.safe_dump({"schema": 1, "receivers": [told]}))
+    receiver = {"name": "log", "kind": "command", "command": ["tee", "told"]}
+    (checkout / "receivers.yml").write_text(yaml.safe_dump({"schema": 1, "receivers": [receiver]}))
     return checkout
 
 
@@ -171,8 +171,8 @@ def in_folder(lab, text):
 def test_a_night_is_measured_kept_shown_and_told(lab):
     (lab / "nightly").write_text(in_folder(lab, NIGHTLY))
     # What was measured before it failed is kept, and the service has failed.
-    status, said = run(lab, ("sh",), [str(lab / "nightly")], {"MEASURED": 3})
-    assert status == 3 and said.endswith("0 things wrong\n"), said
+    status, printed = run(lab, ("sh",), [str(lab / "nightly")], {"MEASURED": 3})
+    assert status == 3 and printed.endswith("0 things wrong\n"), printed
     assert list((lab / "archive" / "runs").glob("*.parquet")) and (lab / "public" / "boards.html").is_file()
 
 

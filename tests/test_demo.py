@@ -82,7 +82,7 @@ def test_where_kvm_works_it_names_the_machine_with_a_real_clock(checkout: Path) 
     assert hint not in demo(checkout, kvm_machine="qemu-x86_64", machine="qemu-x86_64").stdout
 
 
-@pytest.mark.parametrize("machine", [name for name, each in machines().items() if each.qemu is not None])
+@pytest.mark.parametrize("machine", [name for name, machine in machines().items() if machine.qemu is not None])
 def test_each_machine_in_qemu_has_a_target_of_its_own(checkout: Path, machine: str) -> None:
     assert demo(checkout, machine=machine).returncode == 0
     (target,) = re.findall(r"--target (\S+)", (checkout / "calls").read_text())
@@ -98,7 +98,7 @@ def test_a_machine_without_a_target_is_a_clear_line(checkout: Path) -> None:
 
 @pytest.mark.parametrize(("status", "is_named"), [(0, True), (1, False)])
 def test_a_machine_is_named_where_a_guest_ends(tmp_path: Path, status: int, is_named: bool) -> None:
-    fitting = {name for name, each in machines().items() if each.qemu is not None and each.qemu.kvm}
+    fitting = {name for name, machine in machines().items() if machine.qemu is not None and machine.qemu.kvm}
     for name in fitting:
         binary = tmp_path / str(machines()[name].qemu.binary)  # type: ignore[union-attr]
         binary.write_text(f"#!/bin/sh\nexit {status}\n")

@@ -126,7 +126,7 @@ def test_make_has_the_targets(page: Path) -> None:
 
 def test_every_command_stands_on_the_page_of_commands() -> None:
     text = (TOP / "docs/commands.md").read_text()
-    names = [f"{program} {called_as(each.__name__)}" for program, modules in COMMANDS.items() for each in modules]
+    names = [f"{program} {called_as(module.__name__)}" for program, modules in COMMANDS.items() for module in modules]
     assert [name for name in names if not re.search(rf"`{name}[ `]", text)] == []
 
 

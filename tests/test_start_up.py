@@ -111,12 +111,14 @@ def parsers(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser
     yield parser
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            for each in action.choices.values():
-                yield from parsers(each)
+            for subparser in action.choices.values():
+                yield from parsers(subparser)
 
 
 EVERY = [
-    each for name, commands in PROGRAMS.items() for each in parsers(parser_of(name, "", commands_of(name, commands)))
+    parser
+    for name, commands in PROGRAMS.items()
+    for parser in parsers(parser_of(name, "", commands_of(name, commands)))
 ]
 
 
@@ -168,7 +170,9 @@ def test_help_lists_every_command_once_below_its_group(capsys: pytest.CaptureFix
         ] == [called_as(command.__name__) for command in MODULES[program]]
 
 
-WITH_COMMANDS = [each for each in EVERY if any(isinstance(one, argparse._SubParsersAction) for one in each._actions)]
+WITH_COMMANDS = [
+    parser for parser in EVERY if any(isinstance(action, argparse._SubParsersAction) for action in parser._actions)
+]
 
 
 @pytest.mark.parametrize("parser", WITH_COMMANDS, ids=[parser.prog for parser in WITH_COMMANDS])

@@ -20,8 +20,8 @@ from words import found, patterns
 )
 def test_a_word_in_a_file(tmp_path: Path, name, text, lines):
     (tmp_path / name).write_text(text)
-    said = [line for line in found([tmp_path / name]) if "is reported" in line]
-    assert sorted(int(line.rpartition(f"{name}:")[2].partition(":")[0]) for line in said) == lines
+    findings = [line for line in found([tmp_path / name]) if "is reported" in line]
+    assert sorted(int(line.rpartition(f"{name}:")[2].partition(":")[0]) for line in findings) == lines
 
 
 def test_each_pattern_has_something_better():

@@ -69,8 +69,8 @@ def page(begin_ns, data, *, flags=0, lost=b"", bits=64):
 def output(*rounds, end=b"rounds end\nrtrun end done\n"):
     head = f"rtrun observes\nheader_page\n{HEADERS[64]}rtrun end header_page\nplaced take_0_1\n"
     formats = {"rtrun_observe_1_2_3/take_0_1": TAKE, "ftrace/print": PRINT}
-    told = "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in formats.items())
-    return (head + told + "ready\n").encode() + b"".join(rounds) + end
+    described = "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in formats.items())
+    return (head + described + "ready\n").encode() + b"".join(rounds) + end
 
 
 def a_round(number, **pages):
@@ -149,7 +149,7 @@ def watched():
     """The whole output of a call, in which a message is late."""
     formats = {"rtrun_observe_1_2_3/publish_0_0": PUBLISH, "rtrun_observe_1_2_3/timer_call_0_2": TIMER,
                "/events/sched/sched_switch": SWITCH}  # fmt: skip
-    told = "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in formats.items())
+    described = "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in formats.items())
     rounds = []
     for number in range(1, 5):
         at_ns = number * 1_000_000
@@ -167,7 +167,7 @@ def watched():
         "end 70\nrtrun end programs\nended 71\nlost 0 1 2\nrefused take_0_1 why\n"
     )
     text = output(*rounds, program.encode())
-    return text.replace(b"ready\n", told.encode() + b"ready\n", 1)
+    return text.replace(b"ready\n", described.encode() + b"ready\n", 1)
 
 
 def parse_programs(text: str, origin: str) -> FoundPrograms:

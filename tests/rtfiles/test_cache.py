@@ -74,7 +74,7 @@ def test_the_digest_sees_every_part(tmp_path: Path) -> None:
     assert cache.digest([folder]) == digests[-1], "byte code is no input"
     digests += [cache.digest(["ab", "c"]), cache.digest(["a", "bc"]), cache.digest(["c", "ab"])]
     assert len(set(digests)) == len(digests)
-    assert all(len(each) == 16 for each in digests)
+    assert all(len(digest) == 16 for digest in digests)
 
 
 def test_two_that_want_the_same_entry_build_it_once(root: Path) -> None:
@@ -93,7 +93,7 @@ def test_two_that_want_the_same_entry_build_it_once(root: Path) -> None:
         second = pool.submit(cache.entry, "kind", "key", build)
         # The second one has opened the lock file that the first one holds.
         lock = str(root / "kind" / ".key.lock")
-        while sum(os.path.realpath(each) == lock for each in Path("/proc/self/fd").iterdir()) < 2 and len(builds) < 2:
+        while sum(os.path.realpath(file) == lock for file in Path("/proc/self/fd").iterdir()) < 2 and len(builds) < 2:
             time.sleep(0.01)
         finish.set()
         assert first.result() == second.result()

@@ -57,7 +57,7 @@ def test_an_extra_is_installed_by_the_names_of_its_packages() -> None:
     for name in ("archive", "farm", "report", "all"):
         command = install_extra(name)
         assert [names.match(word)[0] for word in command.replace("'", "").split(" install ")[1].split()] == [
-            names.match(each)[0] for each in extras[name]
+            names.match(requirement)[0] for requirement in extras[name]
         ]
         assert DISTRIBUTION not in command.split(" install ")[1]
 

@@ -67,10 +67,10 @@ def test_a_folder_that_others_can_change_is_refused_wherever_it_lies(
 ) -> None:
     for name in ("a", "a/b", "a/b/c"):
         given(tmp_path / name)
-    arguments, said = FAULTS[fault]
+    arguments, reason = FAULTS[fault]
     given(tmp_path / at, **arguments)
     answer = asked(tmp_path / "a/b/c").replace("by group", "by the group")
-    assert f"{tmp_path / at} " in answer and said in answer
+    assert f"{tmp_path / at} " in answer and reason in answer
     # Where the last one is missing, nothing is made below.
     if at != "a/b/c":
         (tmp_path / "a/b/c").rmdir()
@@ -94,8 +94,8 @@ def test_ordinary_folders_are_taken(asked: Callable[[Path], str], arguments: dic
             assert asked(tmp_path / "a/b/c") == ""
     finally:
         os.umask(0o022)
-    made = [tmp_path / "a/b", *(tmp_path / "a/b").rglob("*")]
-    assert all(path.stat().st_mode & 0o022 == 0 for path in made), "whatever the umask"
+    paths = [tmp_path / "a/b", *(tmp_path / "a/b").rglob("*")]
+    assert all(path.stat().st_mode & 0o022 == 0 for path in paths), "whatever the umask"
 
 
 @BOTH
@@ -103,9 +103,9 @@ def test_a_folder_that_the_own_group_can_write_to(
     asked: Callable[[Path], str], tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     """The ls of busybox does not show whether a list of rights lets others do so."""
-    said = asked(given(tmp_path / "a", mode=0o775, group=0) / "b")
+    reason = asked(given(tmp_path / "a", mode=0o775, group=0) / "b")
     expected = "can be written by group 0" if "busybox" in request.node.name else ""
-    assert expected in said and bool(said) == bool(expected)
+    assert expected in reason and bool(reason) == bool(expected)
 
 
 @BOTH
@@ -176,7 +176,9 @@ def test_what_was_put_into_the_work_folder_while_others_could(
 def test_results_and_cache_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given(tmp_path / "a", mode=0o777)
     monkeypatch.setenv("META_RT_TESTS_CACHE", str(tmp_path / "a/cache"))
-    said = f"{tmp_path}/a can be written by every user: name a new folder that is yours alone, or take that right away"
+    message = (
+        f"{tmp_path}/a can be written by every user: name a new folder that is yours alone, or take that right away"
+    )
 
     def fill() -> None:
         with run_directory.filling(tmp_path / "a/run"):
@@ -193,7 +195,7 @@ def test_results_and_cache_are_looked_at(tmp_path: Path, monkeypatch: pytest.Mon
         fill,
         lock,
     ):
-        with pytest.raises(UsageError, match=said):
+        with pytest.raises(UsageError, match=message):
             use()
     assert list((tmp_path / "a").iterdir()) == []
 
@@ -204,11 +206,11 @@ def test_new_results_are_ours_whatever_the_umask(tmp_path: Path) -> None:
     folder = tmp_path / "a/results/quick"
     before = os.umask(0)
     try:
-        made = [run_directory.make_new_results(folder) for _ in range(2)]
+        folders = [run_directory.make_new_results(folder) for _ in range(2)]
     finally:
         os.umask(before)
-    assert made == [folder, folder.with_name("quick-2")]
-    assert {path.stat().st_mode & 0o777 for path in (folder.parent, *made)} == {0o755}
+    assert folders == [folder, folder.with_name("quick-2")]
+    assert {path.stat().st_mode & 0o777 for path in (folder.parent, *folders)} == {0o755}
 
 
 def test_what_is_in_the_cache_must_be_ours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,15 +58,15 @@ def test_no_share_is_rounded_to_the_wrong_side_or_by_more_than_a_third() -> None
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "said"),
+    ("low", "high", "text"),
     [(0.00168, 0.0168, "0.0016 to 0.017"), (0.2, 0.2, "0.2 to 0.2"), (0.0, 0.9999, "0 to 1")],
 )
-def test_an_interval_is_never_narrower_than_it_is(low: float, high: float, said: str) -> None:
-    assert between(low, high) == said
+def test_an_interval_is_never_narrower_than_it_is(low: float, high: float, text: str) -> None:
+    assert between(low, high) == text
 
 
 @pytest.mark.parametrize(
-    ("share", "said"),
+    ("share", "text"),
     [
         (0.5218, "53 %"),
         (0.05, "5 %"),
@@ -77,5 +77,5 @@ def test_an_interval_is_never_narrower_than_it_is(low: float, high: float, said:
         (1.0, "100 %"),
     ],
 )
-def test_a_share_that_is_a_bound_is_never_lower_than_it_is(share: float, said: str) -> None:
-    assert percent_at_most(share) == said
+def test_a_share_that_is_a_bound_is_never_lower_than_it_is(share: float, text: str) -> None:
+    assert percent_at_most(share) == text

@@ -26,8 +26,8 @@ def some_kernel(tmp_path: Path) -> kernel.KernelFiles:
 def test_unknown_machine_is_a_usage_error_that_lists_the_known(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["board", "build", "--machine", "pandaboard"]) == 2
     known = ", ".join(machine.machines())
-    said = f"rtgen: unknown machine 'pandaboard', did you mean 'pandaboard-es'? known: {known}\n"
-    assert capsys.readouterr().err == said
+    expected = f"rtgen: unknown machine 'pandaboard', did you mean 'pandaboard-es'? known: {known}\n"
+    assert capsys.readouterr().err == expected
 
 
 def test_a_board_with_another_device_tree_is_another_board(
@@ -73,8 +73,8 @@ def test_a_board_with_two_kernels_has_files_of_each_and_starts_the_first(some_ke
 def test_two_kernels_of_a_machine_that_has_one_are_refused(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    one = machine.find("pandaboard-es").model_copy(update={"standard_kernel": None})
-    monkeypatch.setattr(build, "find", lambda name: one)
+    pandaboard = machine.find("pandaboard-es").model_copy(update={"standard_kernel": None})
+    monkeypatch.setattr(build, "find", lambda name: pandaboard)
     assert cli.main(["board", "build", "--machine", "pandaboard-es", "--kernel", "both"]) == 2
     assert capsys.readouterr().err == (
         "rtgen: pandaboard-es: no standard_kernel in the file of this machine: --kernel both is for others\n"

@@ -288,7 +288,7 @@ def check_arguments(board: Board, link: Link, scripts: PurePosixPath, program: s
     pid = start(board, f"{program} 50 1000000 {first}")
     found = standin.find(link, pid, scripts=scripts, within_s=COMMAND_S)
     placement = place_probes(link, found, events=standin.EVENTS)
-    batches = [each for each in observe(link, scripts, placement, found, for_s=8) if isinstance(each, Batch)]
+    batches = [batch for batch in observe(link, scripts, placement, found, for_s=8) if isinstance(batch, Batch)]
     board.output_of(f"kill {pid}")
     hits = [hit for batch in batches for hit in batch.hits]
     assert {hit.pid for hit in hits} == {pid}

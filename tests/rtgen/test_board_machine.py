@@ -37,13 +37,13 @@ def test_no_code_names_a_machine(tmp_path: Path) -> None:
     names = list(machine.machines())
     assert len(code()) > 100
     assert naming(code(), names) == []
-    one = tmp_path / "one.py"
-    one.write_text(f'if machine == "{names[0]}":\n    pass\n')
-    assert naming([one], names) == [f"{one}: {names[0]}"]
+    file = tmp_path / "one.py"
+    file.write_text(f'if machine == "{names[0]}":\n    pass\n')
+    assert naming([file], names) == [f"{file}: {names[0]}"]
 
 
 def test_one_machine_is_the_default() -> None:
-    assert [name for name, each in machine.machines().items() if each.default] == ["qemu-armv7"]
+    assert [name for name, described in machine.machines().items() if described.default] == ["qemu-armv7"]
     assert machine.default_machine() == "qemu-armv7"
 
 

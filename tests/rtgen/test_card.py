@@ -152,7 +152,9 @@ def test_u_boot_loads_each_kernel_with_its_own_files(tmp_path: Path, monkeypatch
     assert loaded.others["MLO"] == tmp_path / "usr/lib/MLO"
 
 
-@pytest.mark.parametrize("name", [name for name, each in architectures().items() if each.uefi is not None])
+@pytest.mark.parametrize(
+    "name", [name for name, architecture in architectures().items() if architecture.uefi is not None]
+)
 def test_the_efi_file_holds_its_parts_where_the_stub_has_none(tmp_path: Path, name: str) -> None:
     architecture = architectures()[name]
     # A program in PE format without a stub's code: what objcopy needs to add sections.
@@ -255,8 +257,8 @@ def test_a_host_key_that_a_power_cut_left_empty_is_made_anew(tmp_path: Path) -> 
     for _ in range(2):
         subprocess.run(["sh", "-c", lines[0].replace("/etc/ssh", str(tmp_path))], check=True)
         assert "PRIVATE KEY" in key.read_text()
-        made = key.read_bytes()
-    assert key.read_bytes() == made
+        content = key.read_bytes()
+    assert key.read_bytes() == content
 
 
 def test_without_keys_the_one_of_the_image_stays(tmp_path: Path, system: Path) -> None:

@@ -54,7 +54,7 @@ FIRMWARE = {
 # U-Boot 2023.01's environment for the OMAP4: where it loads what, and how much memory it uses (bootm_size).
 KERNEL_AT, DEVICE_TREE_AT, RAM_DISK_AT, MEMORY_END = 0x82000000, 0x88000000, 0x88080000, 0x80000000 + 0x10000000
 
-Said = Callable[[str], str]
+OutputOf = Callable[[str], str]
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def built(machine: str, key: Path, place: Path, kernel: str = "debian", suite: s
 
 
 @contextmanager
-def running(qemu: list[str], key: Path, place: Path, port: int | None = None) -> Iterator[Said]:
+def running(qemu: list[str], key: Path, place: Path, port: int | None = None) -> Iterator[OutputOf]:
     """Yield a function that runs a command on the board. The board has to power off when it is told to."""
     port = port or free_port()
     console = place / "console.log"
@@ -98,7 +98,7 @@ def running(qemu: list[str], key: Path, place: Path, port: int | None = None) ->
         words = ["ssh", *options, "-p", str(port), "root@127.0.0.1", command]
         return subprocess.run(words, capture_output=True, text=True, timeout=COMMAND_S)
 
-    def said(command: str) -> str:
+    def output_of(command: str) -> str:
         done = ssh(command)
         assert done.returncode == 0, f"{command}: {done.stderr}"
         return done.stdout.strip()
@@ -110,7 +110,7 @@ def running(qemu: list[str], key: Path, place: Path, port: int | None = None) ->
             assert process.poll() is None, shown
             assert time.monotonic() < deadline, shown
             time.sleep(1)
-        yield said
+        yield output_of
         ssh("poweroff")
         assert process.wait(timeout=BOOT_S) == 0
     finally:
@@ -118,27 +118,27 @@ def running(qemu: list[str], key: Path, place: Path, port: int | None = None) ->
         process.wait()
 
 
-def check_board(said: Said, root: str) -> None:
+def check_board(output_of: OutputOf, root: str) -> None:
     """What every card does: an RT kernel runs from its root file system, which grew, with a host key of its own."""
-    assert "PREEMPT_RT" in said("uname -v")
-    assert said("findmnt -n -o SOURCE /") == root
-    assert int(said("df -k / | tail -1").split()[1]) * 1024 > GROWTH
-    assert "No errors detected" in said(f"sfdisk --verify {root[:-1]}")
-    assert said("ls /etc/ssh/ssh_host_*") == "/etc/ssh/ssh_host_ed25519_key\n/etc/ssh/ssh_host_ed25519_key.pub"
-    assert "P:80" in said("cyclictest --quiet --mlockall --priority=80 --policy=fifo --loops=100 --threads=1")
+    assert "PREEMPT_RT" in output_of("uname -v")
+    assert output_of("findmnt -n -o SOURCE /") == root
+    assert int(output_of("df -k / | tail -1").split()[1]) * 1024 > GROWTH
+    assert "No errors detected" in output_of(f"sfdisk --verify {root[:-1]}")
+    assert output_of("ls /etc/ssh/ssh_host_*") == "/etc/ssh/ssh_host_ed25519_key\n/etc/ssh/ssh_host_ed25519_key.pub"
+    assert "P:80" in output_of("cyclictest --quiet --mlockall --priority=80 --policy=fifo --loops=100 --threads=1")
 
 
 # The stick of a PC is started below, with both kernels of Debian 12.
 @pytest.mark.parametrize(("machine", "suite"), [("generic-arm64", None), ("pc-x86_64", "trixie")])
 def test_firmware_starts_the_stick(machine: str, suite: str | None, key: Path, tmp_path: Path) -> None:
     stick = built(machine, key, tmp_path, suite=suite)
-    with running(from_stick(machine, stick, tmp_path), key, tmp_path) as said:
-        check_stick(said)
+    with running(from_stick(machine, stick, tmp_path), key, tmp_path) as output_of:
+        check_stick(output_of)
 
 
-def check_stick(said: Said) -> None:
-    check_board(said, "/dev/sda2")
-    assert said("ls -d /sys/firmware/efi") == "/sys/firmware/efi", "started by UEFI, not by QEMU itself"
+def check_stick(output_of: OutputOf) -> None:
+    check_board(output_of, "/dev/sda2")
+    assert output_of("ls -d /sys/firmware/efi") == "/sys/firmware/efi", "started by UEFI, not by QEMU itself"
 
 
 def from_stick(machine: str, stick: Path, place: Path) -> list[str]:
@@ -166,11 +166,11 @@ runs: [{suite: cyclictest, repetitions: 2000, policy: RR}]
 def test_a_stick_with_both_kernels_is_measured_on_each(key: Path, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     stick, port = built("pc-x86_64", key, tmp_path, kernel="both"), free_port()
-    with running(from_stick("pc-x86_64", stick, tmp_path), key, tmp_path, port) as said:
-        check_stick(said)
+    with running(from_stick("pc-x86_64", stick, tmp_path), key, tmp_path, port) as output_of:
+        check_stick(output_of)
         with pytest.raises(AssertionError, match="no kernel 'other' on this card, there are: rt standard"):
-            said("boot-kernel other")
-        fingerprint = said("ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub").split()[1]
+            output_of("boot-kernel other")
+        fingerprint = output_of("ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub").split()[1]
         words = ["--host", "127.0.0.1", "--port", str(port), "--key", str(key), "--host-key", fingerprint]
         # Without this user's ~/.ssh; not before, as the cache is in that folder.
         monkeypatch.setenv("HOME", str(tmp_path))
@@ -182,7 +182,7 @@ def test_a_stick_with_both_kernels_is_measured_on_each(key: Path, tmp_path: Path
         Path("campaign.yml").write_text(CAMPAIGN)
         assert rtrun.cli.main(["run", "campaign.yml", "--target", "stick.yml"]) == 0, capsys.readouterr()
         # It started with rt, so it was restarted into each.
-        assert "PREEMPT_RT" in said("uname -v")
+        assert "PREEMPT_RT" in output_of("uname -v")
     for kernel in ("standard", "rt"):
         (path,) = Path("results/both").glob(f"*-{kernel}/run.json")
         record = json.loads(path.read_text())
@@ -196,25 +196,25 @@ def test_a_stick_with_both_kernels_is_measured_on_each(key: Path, tmp_path: Path
 def test_the_card_of_the_pandaboard(kind: str, suite: str | None, key: Path, tmp_path: Path) -> None:
     image = built("pandaboard-es", key, tmp_path, kind, suite)
     machine, source = find("pandaboard-es"), debian.source(suite)
-    one = built_kernel("pandaboard-es") if kind == "built" else debian_kernel(machine.kernel, machine, source)
+    expected = built_kernel("pandaboard-es") if kind == "built" else debian_kernel(machine.kernel, machine, source)
     entry = read_entry(image, tmp_path / "boot")
     check_first_stages(tmp_path / "boot")
     kernel, ram_disk, device_tree = entry.kernel, entry.ram_disk, entry.device_tree
     compatible = subprocess.run(["fdtget", device_tree, "/", "compatible"], capture_output=True, text=True, check=True)
     assert compatible.stdout.split()[0] == "ti,omap4-panda-es"
     # Kernel and device tree are of one build; ours has the device tree with the fine clock.
-    assert kernel.read_bytes() == one.image.read_bytes()
+    assert kernel.read_bytes() == expected.image.read_bytes()
     name = "omap4-panda-es-rt.dtb" if kind == "built" else "omap4-panda-es.dtb"
-    assert device_tree.read_bytes() == (one.dtbs / name).read_bytes()
+    assert device_tree.read_bytes() == (expected.dtbs / name).read_bytes()
     assert KERNEL_AT + kernel.stat().st_size < DEVICE_TREE_AT
     assert DEVICE_TREE_AT + device_tree.stat().st_size < RAM_DISK_AT
     assert RAM_DISK_AT + ram_disk.stat().st_size < MEMORY_END
     assert re.search(r"\broot=UUID=[0-9a-f-]{36}\b", entry.command_line)
-    with running(from_card(image, entry), key, tmp_path) as said:
-        check_board(said, "/dev/vda2")
+    with running(from_card(image, entry), key, tmp_path) as output_of:
+        check_board(output_of, "/dev/vda2")
         # The modules are those of the kernel that runs.
-        assert said("uname -r") == said("ls /lib/modules") == one.release
-        said("/sbin/modprobe --dry-run ext4")
+        assert output_of("uname -r") == output_of("ls /lib/modules") == expected.release
+        output_of("/sbin/modprobe --dry-run ext4")
     # Its owner compares them at the first login.
     shown = (tmp_path / "console.log").read_text(errors="replace")
     assert re.search(r"start: SSH host key 256 SHA256:\S+ ", shown)
@@ -225,10 +225,10 @@ def test_the_card_of_the_pandaboard_starts_the_kernel_that_was_chosen(key: Path,
     image = built("pandaboard-es", key, tmp_path, "both")
     for number, kernel in enumerate(("rt", "standard")):
         entry = read_entry(image, tmp_path / f"boot{number}")
-        with running(from_card(image, entry), key, tmp_path) as said:
-            assert ("PREEMPT_RT" in said("uname -v")) == (kernel == "rt")
-            assert f"/lib/modules/{said('uname -r')}" in said("ls -d /lib/modules/*").split()
-            said("boot-kernel standard")
+        with running(from_card(image, entry), key, tmp_path) as output_of:
+            assert ("PREEMPT_RT" in output_of("uname -v")) == (kernel == "rt")
+            assert f"/lib/modules/{output_of('uname -r')}" in output_of("ls -d /lib/modules/*").split()
+            output_of("boot-kernel standard")
 
 
 @dataclass(frozen=True)

@@ -64,8 +64,8 @@ def without(*programs):
     ],
 )  # fmt: skip
 def test_what_prevents_or_spoils_a_build(changes, fatal, what, remedy):
-    ((is_fatal, said, advice),) = findings(**changes)
-    assert is_fatal == fatal and what in said and remedy in advice
+    ((is_fatal, message, advice),) = findings(**changes)
+    assert is_fatal == fatal and what in message and remedy in advice
 
 
 def test_versions_compare_as_numbers_and_fatal_findings_come_first():
@@ -99,8 +99,8 @@ def test_what_a_build_takes_is_that_of_the_profile(tmp_path, capsys):
     assert f" {build.gib} GiB ({build.rm_work_gib} GiB with kas/rm-work.yml) and {build.hours} hours" in out
     assert "\nHere: " in out and f"a first build needs {BUILD.gib} GiB" not in out
     main(["doctor", str(tmp_path), "--profile", "scarthgap-base", "--json"])
-    said = json.loads(capsys.readouterr().out)
-    assert said["build"] == build.model_dump() and 0 < said["free_memory_bytes"] <= said["memory_bytes"]
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["build"] == build.model_dump() and 0 < printed["free_memory_bytes"] <= printed["memory_bytes"]
 
 
 def test_every_release_and_ros_says_what_a_build_takes():

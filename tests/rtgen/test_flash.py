@@ -72,8 +72,8 @@ def test_what_was_written_for_programs(image, attach, capsys):
     device, _ = attach(16 * MIB)
     assert flash_it(image, device, "--yes", "--json") == 0
     digest, size = hashlib.sha256(image.read_bytes()).hexdigest(), image.stat().st_size
-    told = {"schema": 1, "device": str(device), "bytes": size, "sha256": digest}
-    assert json.loads(capsys.readouterr().out) == told
+    expected = {"schema": 1, "device": str(device), "bytes": size, "sha256": digest}
+    assert json.loads(capsys.readouterr().out) == expected
 
 
 @contextlib.contextmanager

@@ -19,12 +19,14 @@ def printed(capsys, *words, status=0):
 
 def test_profiles_and_machines(capsys):
     data = printed(capsys, "profiles")
-    assert [each["profile"] for each in data["profiles"]] == list(profile_names())
-    assert data["default"] in profile_names() and all(each["summary"] for each in data["profiles"])
+    assert [profile["profile"] for profile in data["profiles"]] == list(profile_names())
+    assert data["default"] in profile_names() and all(profile["summary"] for profile in data["profiles"])
     machines = printed(capsys, "board", "machines")["machines"]
     assert main(["board", "machines"]) == 0
-    assert [each["machine"] for each in machines] == [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert sum(each["is_default"] for each in machines) == 1
+    assert [machine["machine"] for machine in machines] == [
+        line.split()[0] for line in capsys.readouterr().out.splitlines()
+    ]
+    assert sum(machine["is_default"] for machine in machines) == 1
 
 
 def test_the_doctor_names_findings_and_the_status_stays(capsys, tmp_path, monkeypatch):
@@ -111,7 +113,7 @@ def test_a_rendering(capsys, tmp_path):
 
 def test_fragments(capsys):
     rendered = printed(capsys, "kconfig", "render", "--check", "--machine", "qemu-armv7")
-    assert rendered["difference"] == "" and {each["state"] for each in rendered["fragments"]} == {"unchanged"}
+    assert rendered["difference"] == "" and {fragment["state"] for fragment in rendered["fragments"]} == {"unchanged"}
 
 
 def test_a_card_is_asked_about_or_described(capsys):

@@ -120,8 +120,8 @@ def test_each_mistake_in_a_fragment_is_named_with_its_reason(data, tree):
 
     mismatches = broken(data, tree, with_mistakes)
     for _, _, symbol, want, got, reason in MISTAKES:
-        said_want, said_got, said = mismatches[symbol]
-        assert said_want == want and got in (None, said_got) and re.match(reason, said), (symbol, mismatches[symbol])
+        wanted, present, message = mismatches[symbol]
+        assert wanted == want and got in (None, present) and re.match(reason, message), (symbol, mismatches[symbol])
     assert len(mismatches) < len(MISTAKES) + 5, mismatches.keys()
 
 
@@ -191,8 +191,10 @@ def test_a_tree_of_a_version_without_data(copy, capsys):
     makefile.write_text(makefile.read_text().replace("PATCHLEVEL = 1\n", "PATCHLEVEL = 2\n", 1))
     verify = ["kconfig", "verify", "--source", str(copy), "--machine", "qemu-armv7"]
     assert main(verify) == 0
-    said = r"^qemu-armv7, Linux 6\.2\.\S+ \(by the data of 6\.1, the nearest\), qemu-armv7_defconfig: all \d+ options"
-    assert re.search(said, capsys.readouterr().out, re.M)
+    expected = (
+        r"^qemu-armv7, Linux 6\.2\.\S+ \(by the data of 6\.1, the nearest\), qemu-armv7_defconfig: all \d+ options"
+    )
+    assert re.search(expected, capsys.readouterr().out, re.M)
     assert main([*verify, "--kernel", "5.15"]) == 0
     assert " (by the data of 5.15), qemu-armv7_defconfig: all " in capsys.readouterr().out
     assert main([*verify, "--kernel", "6.2"]) == 2
@@ -249,7 +251,7 @@ class TestFinishedConfig:
         assert (mismatch.symbol, mismatch.want, mismatch.got) == (symbol, "y", "n")
 
     @pytest.mark.parametrize(
-        ("machine", "head", "said"),
+        ("machine", "head", "remark"),
         [
             ("arm64", "Linux/arm64 5.10.104-tegra", "arm64, Linux 5.10 (by the data of 5.15, the nearest), "),
             ("x86-64", "Linux/x86 6.8.1", "x86-64, Linux 6.8 (by the data of 6.6, the nearest), "),
@@ -257,7 +259,7 @@ class TestFinishedConfig:
             ("arm", "Linux/arm 6.1.176", "arm, Linux 6.1, "),
         ],
     )
-    def test_every_kernel_is_compared_with_the_nearest_data(self, data, tmp_path, capsys, machine, head, said):
+    def test_every_kernel_is_compared_with_the_nearest_data(self, data, tmp_path, capsys, machine, head, remark):
         """A Jetson's, and those of Ubuntu 24.04 and 26.04."""
         kernel = kernel_of(f"# {head} Kernel Configuration\n")
         lines = [config_line(*pair) for pair in data.wanted(machine, kernel).items()]
@@ -265,11 +267,11 @@ class TestFinishedConfig:
         path.write_text("\n".join([f"# {head} Kernel Configuration", *lines, ""]))
         verify = ["kconfig", "verify", "--machine", machine, "--config", str(path)]
         assert main(verify) == 0
-        assert capsys.readouterr().out == f"{said}{path}: all {len(lines)} options hold\n"
+        assert capsys.readouterr().out == f"{remark}{path}: all {len(lines)} options hold\n"
         path.write_text(path.read_text().replace("CONFIG_PREEMPT_RT=y\n", ""))
         assert main(verify) == 1
         out = capsys.readouterr().out
-        assert f"{said}{path}: 1 of {len(lines)} options do not hold\n  PREEMPT_RT: wanted y, is n: " in out
+        assert f"{remark}{path}: 1 of {len(lines)} options do not hold\n  PREEMPT_RT: wanted y, is n: " in out
 
     def test_an_option_selects_the_data(self, data, finished, tmp_path, capsys):
         path = tmp_path / ".config"

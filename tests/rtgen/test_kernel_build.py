@@ -126,7 +126,7 @@ def test_it_boots_proves_itself_and_measures(built, machine, clockevent, tmp_pat
     assert printed["kernel"].startswith(f"{release} ") and " PREEMPT_RT " in printed["kernel"]
     assert printed["platform"] == "emulated" and printed["ready"] is True
     assert any(line.endswith(clockevent) for line in printed["clockevent"])
-    checks = {each["name"]: each["status"] for each in printed["checks"]}
+    checks = {check["name"]: check["status"] for check in printed["checks"]}
     assert (checks["PREEMPT_RT"], checks["real-time scheduling"], checks["high-resolution timers"]) == (
         "ok",
         "ok",

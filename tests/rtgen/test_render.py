@@ -258,8 +258,10 @@ def test_every_transport_of_a_release_has_a_folder():
     [(None, 1, True), ("$ROS_VERSION == 2", 2, True), ("$ROS_VERSION == 2", 1, False), ("$ROS_VERSION != 2", 1, True)],
 )
 def test_conditions_of_a_package(tmp_path, condition, version, holds):
-    said = f' condition="{condition}"' if condition else ""
-    (tmp_path / "package.xml").write_text(f"<package><depend{said}>a</depend><exec_depend>b</exec_depend></package>")
+    attribute = f' condition="{condition}"' if condition else ""
+    (tmp_path / "package.xml").write_text(
+        f"<package><depend{attribute}>a</depend><exec_depend>b</exec_depend></package>"
+    )
     needs = recipes.read_dependencies(tmp_path / "package.xml", version)
     assert (needs.build, needs.run) == ((("a",), ("a", "b")) if holds else ((), ("b",)))
 

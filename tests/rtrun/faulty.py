@@ -217,7 +217,10 @@ def measure(target: Target, runs: list[Run], results: Path, watching: Watching |
 def lost(results: Path) -> list[str]:
     """The attempts in a folder that count as late."""
     source = find_source(results)
-    return [str(one) for one in lost_attempts(source, {folder: read_record(folder) for folder in source.folders}, {})]
+    return [
+        str(attempt)
+        for attempt in lost_attempts(source, {folder: read_record(folder) for folder in source.folders}, {})
+    ]
 
 
 def record(results: Path, run: Run) -> dict[str, Any]:

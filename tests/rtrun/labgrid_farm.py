@@ -48,7 +48,9 @@ class Farm:
 
     def await_resources(self, expected: Collection[str]) -> None:
         """Wait until the exporter offers these, as ``group/kind``."""
-        while not {*expected} <= {f"{each.group}/{each.kind}" for each in labgrid.list_resources(self.coordinator)}:
+        while not {*expected} <= {
+            f"{resource.group}/{resource.kind}" for resource in labgrid.list_resources(self.coordinator)
+        }:
             assert self._servers["exporter"].poll() is None, (self.folder / "exporter.log").read_text()
             time.sleep(0.2)
 

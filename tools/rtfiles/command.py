@@ -80,7 +80,7 @@ def _interruptible() -> Iterator[None]:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    numbers = [each for each in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(each) != signal.SIG_IGN]
+    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) != signal.SIG_IGN]
     if threading.current_thread() is not threading.main_thread():  # handlers can be set only there
         numbers = []
     previous = {number: signal.signal(number, interrupt) for number in numbers}
@@ -205,8 +205,8 @@ def _add_quiet(parser: argparse.ArgumentParser) -> None:
     """Add --quiet to the parser of a command, or to those of its actions."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            for each in action.choices.values():
-                _add_quiet(each)
+            for subparser in action.choices.values():
+                _add_quiet(subparser)
             return
     parser.add_argument("-q", "--quiet", action="store_true", help="neither remarks nor progress")
 
@@ -244,13 +244,13 @@ def manual(parser: argparse.ArgumentParser) -> str:
         return "\n".join(f"\\&{line}" if line.startswith((".", "'")) else line for line in lines)
 
     name = parser.prog
-    commands = next(each for each in parser._actions if isinstance(each, argparse._SubParsersAction)).choices
-    sections = [("DESCRIPTION", parser)] + [(f"{name} {word}", each) for word, each in commands.items()]
+    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction)).choices
+    sections = [("DESCRIPTION", parser)] + [(f"{name} {word}", subparser) for word, subparser in commands.items()]
     return "\n".join(
         [
             f'.TH {name.upper()} 1 "" "{DISTRIBUTION} {version(DISTRIBUTION)}"',
             f".SH NAME\n{name} \\- {shown(parser.description or name)}",
-            *(f'.SH "{shown(title)}"\n.nf\n{shown(each.format_help())}\n.fi' for title, each in sections),
+            *(f'.SH "{shown(title)}"\n.nf\n{shown(subparser.format_help())}\n.fi' for title, subparser in sections),
         ]
     )
 

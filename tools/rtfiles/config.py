@@ -159,10 +159,10 @@ def _count_nodes(node: yaml.Node, known: dict[yaml.Node, int]) -> int:
         except ValueError as error:
             raise yaml.constructor.ConstructorError(None, None, str(error), node.start_mark) from None
     if isinstance(node, yaml.MappingNode):
-        parts = [each for pair in node.value for each in pair]
+        parts = [part for pair in node.value for part in pair]
     elif isinstance(node, yaml.SequenceNode):
         parts = node.value
-    known[node] = 1 + sum(_count_nodes(each, known) for each in parts)
+    known[node] = 1 + sum(_count_nodes(part, known) for part in parts)
     if known[node] > YAML_NODES_MAX:
         raise yaml.constructor.ConstructorError(
             None, None, f"its aliases stand for more than {YAML_NODES_MAX} values", node.start_mark

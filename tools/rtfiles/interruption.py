@@ -9,10 +9,10 @@ from types import FrameType
 
 
 @contextlib.contextmanager
-def deferred(said: str) -> Iterator[None]:
+def deferred(message: str) -> Iterator[None]:
     """Delay the first Ctrl-C to the end of the context, which then raises KeyboardInterrupt; a second acts at once.
 
-    `said` is the text for the user meanwhile. Only the main thread gets Ctrl-C: in any other thread this does nothing.
+    `message` is for the user meanwhile. Only the main thread gets Ctrl-C: in any other thread this does nothing.
     """
     before = signal.getsignal(signal.SIGINT)
     # A shell makes background processes ignore Ctrl-C.
@@ -26,7 +26,7 @@ def deferred(said: str) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
         # print itself may have been interrupted.
         with contextlib.suppress(OSError):
-            os.write(2, f"{said}\n".encode())
+            os.write(2, f"{message}\n".encode())
 
     signal.signal(signal.SIGINT, defer)
     try:

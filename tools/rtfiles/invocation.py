@@ -15,7 +15,7 @@ def install_extra(name: str) -> str:
     It names the packages themselves, because the project is not on the package index: whoever registered its name there
     could run code on the machine of everybody who followed such a command.
     """
-    required = (each.partition(";") for each in metadata.requires(DISTRIBUTION) or ())
+    required = (requirement.partition(";") for requirement in metadata.requires(DISTRIBUTION) or ())
     packages = [package.strip() for package, _, marker in required if f'extra == "{name}"' in marker.replace("'", '"')]
     return shlex.join([sys.executable, "-m", "pip", "install", *packages])
 

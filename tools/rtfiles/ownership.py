@@ -111,7 +111,7 @@ def resolve(path: Path) -> Path:
             raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
         if (owner := os.lstat(place).st_uid) not in trusted:
             raise OSError(errno.EACCES, f"{place} is a link that belongs to {_name(owner)}", str(path))
-        waiting = [each for each in target.split("/") if each not in ("", ".")] + waiting
+        waiting = [part for part in target.split("/") if part not in ("", ".")] + waiting
         seen = "/" if target.startswith("/") else seen
     return Path(seen)
 
@@ -122,7 +122,7 @@ def _served_by_others(trusted: set[int]) -> set[str]:
     for line in Path("/proc/self/mountinfo").read_bytes().splitlines():
         mount, _, system = line.partition(b" - ")
         kind, _, options = system.split(b" ", 2)
-        users = [int(each[8:]) for each in options.split(b",") if each.startswith(b"user_id=")]
+        users = [int(option[8:]) for option in options.split(b",") if option.startswith(b"user_id=")]
         if kind.startswith(b"fuse") and not trusted.issuperset(users):
             place = re.sub(rb"\\([0-7]{3})", lambda octal: bytes([int(octal[1], 8)]), mount.split(b" ")[4])
             served.add(os.fsdecode(place))

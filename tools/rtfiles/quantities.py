@@ -13,7 +13,7 @@ def time(value_ns: float | None) -> str:
     if not value_ns:
         return "0 us"
     size = abs(value_ns) * (1 + 5e-5)  # a size that rounds up to the next unit is written in that unit
-    unit_ns, unit = next((one for one in _UNITS if size >= one[0]), _UNITS[-1])
+    unit_ns, unit = next((pair for pair in _UNITS if size >= pair[0]), _UNITS[-1])
     value = value_ns / unit_ns
     text = f"{value:.{min(3, max(0, 3 - math.floor(math.log10(size / unit_ns))))}f}"
     if "." in text and float(text) == value:

@@ -140,11 +140,11 @@ def _check(data: Any) -> None:
         value, depth = waiting.pop()
         if depth > JSON_DEPTH_MAX:
             raise ValueError(f"nested more than {JSON_DEPTH_MAX} deep")
-        for each in (*value, *value.values()) if isinstance(value, dict) else value:
-            if isinstance(each, str):
-                text(each)
-            elif isinstance(each, dict | list):
-                waiting.append((each, depth + 1))
+        for child in (*value, *value.values()) if isinstance(value, dict) else value:
+            if isinstance(child, str):
+                text(child)
+            elif isinstance(child, dict | list):
+                waiting.append((child, depth + 1))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -189,7 +189,7 @@ def parse_xml(text: str, origin: str, take: Callable[[XmlElement], None]) -> Non
         waiting.append(_OpenElement(name=name, attributes=attributes, line=line))
 
     def finish(_: str) -> None:
-        path = tuple(each.name for each in waiting)
+        path = tuple(element.name for element in waiting)
         last = waiting.pop()
         take(XmlElement(path=path, attributes=last.attributes, text="".join(last.text).strip(), line=last.line))
 

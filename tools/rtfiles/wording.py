@@ -61,9 +61,9 @@ def mistake(errors: Sequence["ErrorDetails"]) -> str:
     if first["type"] in ("value_error", "unknown_key"):
         return first["msg"].removeprefix("Value error, ")
     got = f", got {repr(value)[:SHOWN_CHARACTERS]}" if isinstance(value, str | int | float | bool) else ""
-    if any(each["type"] not in _TAKES for each in errors):
+    if any(error["type"] not in _TAKES for error in errors):
         return f"{first['msg']}{got}"
-    takes = " or ".join(dict.fromkeys(_TAKES[each["type"]].format_map(each.get("ctx", {})) for each in errors))
+    takes = " or ".join(dict.fromkeys(_TAKES[error["type"]].format_map(error.get("ctx", {})) for error in errors))
     return f"takes {takes}{got}{_choice(first)}"
 
 

@@ -99,9 +99,9 @@ def _add_device_tree(source: Path, device_tree: Path) -> None:
         makefile.write(f"\ndtb-$(CONFIG_ARCH_OMAP4) += {device_tree.stem}.dtb\n")
 
 
-def _refuse_change(planned: str, made: str) -> None:
+def _refuse_change(planned: str, built: str) -> None:
     """Raise InfrastructureError if the kernel's make produced another .config than the verified one."""
-    different = sorted(set(_settings(planned)) ^ set(_settings(made)))
+    different = sorted(set(_settings(planned)) ^ set(_settings(built)))
     if different:
         raise InfrastructureError(f"the kernel's make changed the verified .config: {', '.join(different[:5])}")
 

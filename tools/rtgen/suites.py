@@ -247,7 +247,7 @@ def with_ros2(entry: Path, ros2: Path) -> Path:
         record["middlewares"] = built = middlewares(result)
         record["not_built"] = {name: needed for name, needed in transports().items() if name not in built}
         record["ros2"] = {"prefix": str(ros2)} | dict(line.split(" ", 1) for line in output.splitlines())
-        record["files"] = {name: each for name, each in describe(result).items() if name != "build.json"}
+        record["files"] = {name: described for name, described in describe(result).items() if name != "build.json"}
         atomic.write_text(result / "build.json", json.dumps(record, indent=2) + "\n")
 
     return cache.entry("suites", f"{HOST}-{key}", build_in)

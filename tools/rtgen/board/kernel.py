@@ -106,9 +106,9 @@ def module_files(modules_dep: str, names: list[str]) -> list[str]:
     order: list[str] = []
     for name in names:
         file = by_name.get(module_name(name), "")
-        for each in [*dependencies_of.get(file, []), file]:
-            if each and each not in order:
-                order.append(each)
+        for needed in [*dependencies_of.get(file, []), file]:
+            if needed and needed not in order:
+                order.append(needed)
     return order
 
 

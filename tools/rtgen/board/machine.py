@@ -87,7 +87,7 @@ class Machine(Config):
 def architectures() -> dict[str, DebianArchitecture]:
     """The known architectures, by Debian's name, read once."""
     data = read_yaml(ARCHITECTURES)
-    return {name: parse(each, DebianArchitecture, f"{ARCHITECTURES}: {name}") for name, each in data.items()}
+    return {name: parse(entry, DebianArchitecture, f"{ARCHITECTURES}: {name}") for name, entry in data.items()}
 
 
 def machines(folder: Path = HERE / "machines") -> dict[str, Machine]:

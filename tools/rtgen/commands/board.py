@@ -65,8 +65,13 @@ def _list_machines(*, as_json: bool) -> None:
     known = machines()
     if as_json:
         listed = [
-            {"machine": name, "architecture": each.architecture, "summary": each.summary, "is_default": each.default}
-            for name, each in known.items()
+            {
+                "machine": name,
+                "architecture": machine.architecture,
+                "summary": machine.summary,
+                "is_default": machine.default,
+            }
+            for name, machine in known.items()
         ]
         print_json({"schema": 1, "machines": listed})
         return

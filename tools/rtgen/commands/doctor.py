@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
             "memory_bytes": host.memory_bytes,
             "free_memory_bytes": host.free_memory_bytes,
         }
-        print_json({"schema": 1, "can_build": not fatal, "findings": [asdict(each) for each in findings]} | facts)
+        print_json({"schema": 1, "can_build": not fatal, "findings": [asdict(finding) for finding in findings]} | facts)
         return int(fatal > 0)
     if fatal:
         print_line(f"This host cannot build an image yet: {fatal} to mend.")

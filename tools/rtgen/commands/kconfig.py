@@ -86,8 +86,8 @@ def _render(args: argparse.Namespace) -> int:
     elif args.check:
         print_line(f"{len(fragments)} fragments are as rendered")
     else:
-        for each in fragments:
-            print_line(f"{each['fragment']}: {each['state']}")
+        for fragment in fragments:
+            print_line(f"{fragment['fragment']}: {fragment['state']}")
     return int(bool(difference))
 
 
@@ -139,14 +139,14 @@ def end(verdicts: "Sequence[Verification]", *, as_json: bool) -> int:
     if as_json:
         subjects = [
             {
-                "subject": each.subject,
-                "checked": each.checked,
-                "do_not_hold": [asdict(item) for item in each.mismatches],
+                "subject": verdict.subject,
+                "checked": verdict.checked,
+                "do_not_hold": [asdict(item) for item in verdict.mismatches],
             }
-            for each in verdicts
+            for verdict in verdicts
         ]
         print_json({"schema": 1, "subjects": subjects})
-    return int(any(each.mismatches for each in verdicts))
+    return int(any(verdict.mismatches for verdict in verdicts))
 
 
 def report(verdict: "Verification") -> None:

@@ -38,11 +38,11 @@ def run(args: argparse.Namespace) -> int:
         return end([verdict], as_json=args.json)
     with beside_the_answer(args.json):
         folder = kernel.build(data, machine, verdict, args.kernel)
-    files = [each for each in sorted(folder.rglob("*")) if each.is_file()]
+    files = [file for file in sorted(folder.rglob("*")) if file.is_file()]
     sizes = {
-        name: each.stat().st_size
-        for each in files
-        if not (name := str(each.relative_to(folder))).startswith("modules/")
+        name: file.stat().st_size
+        for file in files
+        if not (name := str(file.relative_to(folder))).startswith("modules/")
     }
     modules = len(list((folder / "modules").rglob("*.ko")))
     if args.json:

@@ -189,7 +189,7 @@ class Data:
         """
         built = {name: machine for name, machine in self.machines.items() if machine.dtbs}
         runs = {name: name for name in built}
-        runs |= {each: name for name, machine in built.items() for each in machine.boards}
+        runs |= {listed: name for name, machine in built.items() for listed in machine.boards}
         if board not in runs:
             raise UsageError(f"no kernel is built for machine {board}, only for {', '.join(runs)}")
         return runs[board]

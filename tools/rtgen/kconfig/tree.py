@@ -168,13 +168,13 @@ def run_conf(tree: Tree, architecture: Architecture, defconfig: str) -> str:
     """The finished .config that ``conf --defconfig`` makes from a defconfig's text. Raises InfrastructureError."""
     # conf leaves include/ and .tmp_* folders in the current folder.
     with tempfile.TemporaryDirectory(prefix="rtgen-conf-") as work:
-        given, made = Path(work, "defconfig"), Path(work, ".config")
+        given, config = Path(work, "defconfig"), Path(work, ".config")
         given.write_text(defconfig, encoding="utf-8")
-        settings = environment(tree, architecture) | {"KCONFIG_CONFIG": str(made)}
+        settings = environment(tree, architecture) | {"KCONFIG_CONFIG": str(config)}
         command: list[str | Path] = [tree.folder / "conf", f"--defconfig={given}", tree.source / "Kconfig"]
         try:
             run(command, folder=Path(work), environment=settings)
-            return made.read_text(encoding="utf-8")
+            return config.read_text(encoding="utf-8")
         except (InfrastructureError, FileNotFoundError) as error:
             raise InfrastructureError(f"{tree.name}: conf failed: {error}") from error
 
