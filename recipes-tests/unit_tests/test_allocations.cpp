@@ -192,7 +192,7 @@ TEST(Allocations, NoneInTheWriterOfBlocks) {
   const std::string output = mkdtemp(folder) + std::string("/a");
   const std::string part = output + ".npy.part";
   cyclic::Samples samples(200);
-  const auto value_of = [](const cyclic::Samples& of, std::size_t row) { return cyclic::lateness_of(of, row, 100); };
+  const auto value_of = [](const cyclic::Samples& rows, std::size_t row) { return cyclic::lateness_of(rows, row, 100); };
   rt_tests::Blocks blocks(output, samples, INT64_C(1000000000), rt_tests::current_cpus(), value_of, 1);
   struct stat state {};
   EXPECT_EQ(allocations_in([&] {

@@ -104,8 +104,8 @@ TEST_F(BlocksTest, RowsReachTheDiskWhileMoreAreTaken) {
 
 TEST_F(BlocksTest, FiguresOfAllRowsSoFarAreInOneLine) {
   Samples<1> samples(10);
-  const auto but_zero = [](const auto& of, std::size_t row) {
-    return of[row][0] == 0 ? std::nullopt : std::optional<int64_t>(of[row][0]);
+  const auto but_zero = [](const auto& rows, std::size_t row) {
+    return rows[row][0] == 0 ? std::nullopt : std::optional<int64_t>(rows[row][0]);
   };
   Blocks blocks(output, samples, long_ns, current_cpus(), but_zero, period_ms);
   const auto figures_are = [&](std::vector<int64_t> expected) {

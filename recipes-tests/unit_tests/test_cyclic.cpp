@@ -51,10 +51,10 @@ TEST(Cyclic, StoppedEarlyOnlyWhatIsThere) {
   cyclic::analyse(samples, 1000, none, none_grid);
   EXPECT_EQ(none.n(), 0);
   samples.append({1000005, 0, 0});
-  Series one("jitter"), one_grid("grid");
-  cyclic::analyse(samples, 1000, one, one_grid);
-  EXPECT_EQ(one.n(), 1);
-  EXPECT_EQ(one.max_ns(), 0);
+  Series single("jitter"), single_grid("grid");
+  cyclic::analyse(samples, 1000, single, single_grid);
+  EXPECT_EQ(single.n(), 1);
+  EXPECT_EQ(single.max_ns(), 0);
 }
 
 // Calls as roscpp makes them, in periods: it goes on from the current time once it is two periods behind.

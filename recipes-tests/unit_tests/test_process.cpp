@@ -22,7 +22,7 @@ namespace {
 constexpr int many = 4096;
 constexpr std::size_t many_bytes = many / 8;
 bool has_many = false;
-cpu_set_t told[many / CPU_SETSIZE];
+cpu_set_t assigned[many / CPU_SETSIZE];
 }  // namespace
 
 extern "C" int sched_getaffinity(pid_t tid, std::size_t bytes, cpu_set_t* set) noexcept {
@@ -37,14 +37,14 @@ extern "C" int sched_getaffinity(pid_t tid, std::size_t bytes, cpu_set_t* set) n
     return -1;
   }
   std::memset(set, 0, bytes);
-  std::memcpy(set, told, many_bytes);
+  std::memcpy(set, assigned, many_bytes);
   return 0;
 }
 
 extern "C" int sched_setaffinity(pid_t tid, std::size_t bytes, const cpu_set_t* set) noexcept {
   if (!has_many) return static_cast<int>(syscall(SYS_sched_setaffinity, tid, bytes, set));
-  std::memset(told, 0, sizeof told);
-  std::memcpy(told, set, std::min(bytes, many_bytes));
+  std::memset(assigned, 0, sizeof assigned);
+  std::memcpy(assigned, set, std::min(bytes, many_bytes));
   return 0;
 }
 
@@ -58,7 +58,7 @@ namespace {
 
 struct ManyCpus : testing::Test {
   ManyCpus() {
-    std::memset(told, 0xff, sizeof told);
+    std::memset(assigned, 0xff, sizeof assigned);
     has_many = true;
   }
   ~ManyCpus() override { has_many = false; }
@@ -109,7 +109,7 @@ TEST(CpuSet, ItsCpusAreThoseItWasGiven) {
 
 // Each growth of the heap costs a system call and, where memory is locked, the time to fill the new pages with zeros.
 TEST(Process, AReservedHeapNeitherGrowsNorFaultsOnAnyThread) {
-  set_up_heaps(Heaps::one);
+  set_up_heaps(Heaps::shared);
   reserve_heap();
   constexpr std::size_t size = 4000;
   constexpr std::size_t blocks = heap_reserve_bytes * 9 / 10 / size;
@@ -137,7 +137,7 @@ TEST(Process, AReservedHeapNeitherGrowsNorFaultsOnAnyThread) {
 TEST(Process, TheHeapIsOneWhereAllThreadsAreScheduledAlike) {
   static const Program program = {"", "", "", {"rt_scope"}};
   Options options(program);
-  EXPECT_EQ(heaps_of(options), Heaps::one);
+  EXPECT_EQ(heaps_of(options), Heaps::shared);
   options.assign("--rt-scope", "measuring-thread");
   EXPECT_EQ(heaps_of(options), Heaps::per_thread);
 }

@@ -207,9 +207,9 @@ static void add_joined(struct text *out, struct files *files) {
 /* Where a name has been counted. The lines of /proc keep their order: look first where it was. */
 static uint64_t counted_before(const struct counts *before, const char *name, size_t place) {
   for (size_t step = 0; step < before->number; ++step) {
-    const struct count *const each = &before->count[(place + step) % before->number];
-    if (strcmp(each->name, name) == 0) {
-      return each->total;
+    const struct count *const entry = &before->count[(place + step) % before->number];
+    if (strcmp(entry->name, name) == 0) {
+      return entry->total;
     }
   }
   return 0;
@@ -247,12 +247,12 @@ static void count_stat(struct counts *now, char *line) {
   } known[] = {{"intr ", "interrupts"}, {"ctxt ", "context_switches"}, {"processes ", "new_processes"}};
   for (char *next; line != NULL; line = next) {
     next = cut_line(line);
-    for (size_t each = 0; each < sizeof known / sizeof *known; ++each) {
-      const size_t length = strlen(known[each].begin);
-      if (strncmp(line, known[each].begin, length) == 0) {
+    for (size_t place = 0; place < sizeof known / sizeof *known; ++place) {
+      const size_t length = strlen(known[place].begin);
+      if (strncmp(line, known[place].begin, length) == 0) {
         const uint64_t total = strtoull(line + length, NULL, 10);
-        count(now, known[each].name, strlen(known[each].name), total);
-        forks = each == FORKS ? total : forks;
+        count(now, known[place].name, strlen(known[place].name), total);
+        forks = place == FORKS ? total : forks;
       }
     }
   }
@@ -512,16 +512,16 @@ static void add_threads(struct text *out, const struct text *threads) {
   pid_t process = 0, id = -1;
   memset(loads, 0, sizeof loads);
   for (size_t at = 0; at < threads->length; at += sizeof(struct thread)) {
-    struct thread each;
-    memcpy(&each, threads->data + at, sizeof each);
-    if (each.process != process) {
-      process = each.process;
+    struct thread thread;
+    memcpy(&thread, threads->data + at, sizeof thread);
+    if (thread.process != process) {
+      process = thread.process;
       id = getsid(process);
       session = id > 0 ? session_of(id) : NULL;
     }
-    const bool is_left_out = session != NULL && (session->is_self || (session->is_load && each.id != process));
+    const bool is_left_out = session != NULL && (session->is_self || (session->is_load && thread.id != process));
     if (id >= 0 && !is_left_out) {
-      add_thread(out, session, process, each.id);
+      add_thread(out, session, process, thread.id);
     }
   }
 }
@@ -589,10 +589,10 @@ static void add_counts(struct text *out, const struct counts *now, const struct 
   const bool are_same_cpus = before->cpus.data != NULL && strcmp(now->cpus.data, before->cpus.data) == 0;
   const size_t end = are_same_cpus ? now->number : now->of_cpus;
   for (size_t place = 0; before->number > 0 && place < end; ++place) {
-    const struct count *const each = &now->count[place];
-    const uint64_t old = counted_before(before, each->name, place);
-    if (each->total > old) {
-      add(out, " %s=%" PRIu64, each->name, each->total - old);
+    const struct count *const entry = &now->count[place];
+    const uint64_t old = counted_before(before, entry->name, place);
+    if (entry->total > old) {
+      add(out, " %s=%" PRIu64, entry->name, entry->total - old);
     }
   }
   append(out, "\n", 1);

@@ -62,7 +62,7 @@ const char* version() { return RT_TESTS_VERSION; }
 Options::Options(const Program& program) {
   for (const auto& key : program.keys) {
     const auto& all = all_options();
-    const auto option = std::find_if(all.begin(), all.end(), [&](const Option& one) { return key == one.key; });
+    const auto option = std::find_if(all.begin(), all.end(), [&](const Option& known) { return key == known.key; });
     if (option == all.end()) throw std::logic_error("no program takes an option '" + key + "'");
     if (!option->is_taken_through(program.middleware)) continue;
     Value value;
@@ -74,17 +74,17 @@ Options::Options(const Program& program) {
 
 const Options::Value& Options::find(const std::string& key) const {
   const auto value =
-      std::find_if(values_.begin(), values_.end(), [&](const Value& one) { return key == one.option.key; });
+      std::find_if(values_.begin(), values_.end(), [&](const Value& known) { return key == known.option.key; });
   if (value == values_.end()) throw std::logic_error("this program takes no option '" + key + "'");
   return *value;
 }
 
 bool Options::has(const std::string& key) const {
-  return std::any_of(values_.begin(), values_.end(), [&](const Value& one) { return key == one.option.key; });
+  return std::any_of(values_.begin(), values_.end(), [&](const Value& value) { return key == value.option.key; });
 }
 
 bool Options::knows(const std::string& flag) const {
-  return std::any_of(values_.begin(), values_.end(), [&](const Value& one) { return flag == one.option.flag; });
+  return std::any_of(values_.begin(), values_.end(), [&](const Value& value) { return flag == value.option.flag; });
 }
 
 void Options::assign(const std::string& flag, const std::string& argument) {
@@ -121,7 +121,7 @@ Options parse(const Program& program, int argc, char* argv[]) {
       options.assign(flag, argv[++i]);
     } else {
       const auto& all = options.values();
-      const auto value = std::find_if(all.begin(), all.end(), [&](const auto& one) { return flag == one.option.flag; });
+      const auto value = std::find_if(all.begin(), all.end(), [&](const auto& known) { return flag == known.option.flag; });
       throw UsageError(flag + " takes " + takes(value->option) + ", got nothing");
     }
   }

@@ -133,7 +133,7 @@ std::string policy_name(int policy) {
 bool is_realtime(const Options& options) { return options.text("policy") != "0"; }
 
 Heaps heaps_of(const Options& options) {
-  return options.text("rt_scope") == "process" ? Heaps::one : Heaps::per_thread;
+  return options.text("rt_scope") == "process" ? Heaps::shared : Heaps::per_thread;
 }
 
 ProcessSetUp::ProcessSetUp(const Options& options, Heaps heaps) : options_(options), threads_(all_threads()) {
@@ -179,7 +179,7 @@ void set_up_heaps(Heaps heaps) {
   mallopt(M_MMAP_MAX, 0);
   // A heap of a thread's own grows by a few pages at a time, and reserves 64 MiB of address space: only where threads of different
   // scheduling would wait for one another. Then there are as many as threads, not a few for each CPU, as malloc has it by itself.
-  mallopt(M_ARENA_MAX, heaps == Heaps::one ? 1 : heaps_max);
+  mallopt(M_ARENA_MAX, heaps == Heaps::shared ? 1 : heaps_max);
 }
 
 void reserve_heap() {

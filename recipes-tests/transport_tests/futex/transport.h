@@ -58,13 +58,13 @@ struct Transport {
 
   // Locks a byte for as long as the file is open. False if another program has it. Throws Failure.
   static bool lock(const transport::File& file, off_t byte) {
-    struct flock range = of(byte);
+    struct flock range = range_of(byte);
     const bool is_ours = fcntl(file.number(), F_OFD_SETLK, &range) == 0;
     require_locks(is_ours || errno == EAGAIN);
     return is_ours;
   }
   static bool is_locked(const transport::File& file, off_t byte) {
-    struct flock range = of(byte);
+    struct flock range = range_of(byte);
     require_locks(fcntl(file.number(), F_OFD_GETLK, &range) == 0);
     return range.l_type != F_UNLCK;
   }
@@ -75,7 +75,7 @@ struct Transport {
     const char* const needs = may_lack_them ? ", which needs Linux 3.15 or later with CONFIG_FILE_LOCKING" : "";
     transport::require(false, "lock the shared memory " + memory() + needs);
   }
-  static struct flock of(off_t byte) {
+  static struct flock range_of(off_t byte) {
     struct flock range {};
     range.l_type = F_WRLCK;
     range.l_whence = SEEK_SET;

@@ -10,7 +10,7 @@ show() {
     while IFS= read -r line || [ -n "$line" ]; do printf '%s\n' "$line"; done <"$1"
 } 2>/dev/null
 # The value of each file, after the file's name.
-each() { for file; do [ -r "$file" ] && { read -r value <"$file"; echo "${file#/sys/devices/system/} $value"; }; done; } 2>/dev/null
+values_of() { for file; do [ -r "$file" ] && { read -r value <"$file"; echo "${file#/sys/devices/system/} $value"; }; done; } 2>/dev/null
 
 cpus=/sys/devices/system/cpu
 release=
@@ -36,12 +36,12 @@ hpet | acpi_pm)
     fi
     ;;
 esac
-section clockevent;      each /sys/devices/system/clockevents/clockevent[0-9]*/current_device
+section clockevent;      values_of /sys/devices/system/clockevents/clockevent[0-9]*/current_device
 section high_resolution
 [ -r /proc/timer_list ] && while read -r name colon value; do
     [ "$name" = .hres_active ] && echo "$value"
 done </proc/timer_list
-section governor;        each $cpus/cpu[0-9]*/cpufreq/scaling_governor
+section governor;        values_of $cpus/cpu[0-9]*/cpufreq/scaling_governor
 section frequency
 for folder in $cpus/cpu[0-9]*/cpufreq; do
     [ -r "$folder/cpuinfo_max_freq" ] || continue

@@ -31,7 +31,7 @@ esac | while read -r pid; do
         BEGIN { room = 4096 }
         length($0) <= 1024 && /^([^:=]*:)?__(node|name|ns):=/ && names++ < 16 { print "argument " $0; next }
         room > 0 { print (length($0) <= room ? "argument " : "cut ") substr($0, 1, room) }
-        room <= 0 && !told++ { print "cut " }
+        room <= 0 && !cuts++ { print "cut " }
         { room -= length($0) + 16 }'
     sed -n 's/^VmLck:[[:blank:]]*/locked /p' status
     sed 's/^/stat /' task/[0-9]*/stat

@@ -146,8 +146,8 @@ list_processes() {
     RTRUN_PROGRAM=*)
         for process in /proc/[0-9]*; do echo "$process/status"; done |
             xargs grep -s '^PPid:' /dev/null | sed 's,^/proc/\([0-9]*\)/status:PPid:[[:blank:]]*,\1 ,' |
-            while read -r pid of; do
-                if is_marked "$pid"; then echo "$pid $of marked"; else echo "$pid $of"; fi
+            while read -r pid ppid; do
+                if is_marked "$pid"; then echo "$pid $ppid marked"; else echo "$pid $ppid"; fi
             done | awk '
                 { parent[$1] = $2 }
                 $3 { ours[$1] }
@@ -164,8 +164,8 @@ list_processes() {
             if [ -n "$by" ]; then [ "$parent" = "$by" ]; else is_marked "$pid"; fi && echo "$pid:$first"
         done
         ;;
-    esac | while read -r each; do
-        is_alive "$each" && ! is_spared "${each%:*}" && echo "$each"
+    esac | while read -r pid_start; do
+        is_alive "$pid_start" && ! is_spared "${pid_start%:*}" && echo "$pid_start"
     done
 }
 
@@ -183,9 +183,9 @@ is_spared() {
 # Those of these processes that do not ignore SIGINT, which is the bit of 2: a shell in the background lets its programs
 # ignore it, and those of ROS set that right.
 listening() {
-    for each; do
-        case $(sed -n 's/^SigIgn:.*\(.\)$/\1/p' "/proc/${each%:*}/status" 2>/dev/null) in
-        [014589cd]) echo "$each" ;;
+    for pid_start; do
+        case $(sed -n 's/^SigIgn:.*\(.\)$/\1/p' "/proc/${pid_start%:*}/status" 2>/dev/null) in
+        [014589cd]) echo "$pid_start" ;;
         esac
     done
 }
@@ -218,12 +218,14 @@ end_processes() {
         while :; do
             [ "$signal" != KILL ] || $2 freeze FROZEN
             # What is a program's once is so still when it has lost its parent.
-            for each in $($2 list_processes); do case " $known " in *" $each "*) ;; *) known="$known $each" ;; esac; done
+            for pid_start in $($2 list_processes); do
+                case " $known " in *" $pid_start "*) ;; *) known="$known $pid_start" ;; esac
+            done
             keep_living
-            for each in $known; do
+            for pid_start in $known; do
                 # Each signal once: a second Ctrl-C tells many programs to leave everything as it is.
-                case " $sent " in *" $each "*) ;; *) send "$signal" "$each" ;; esac
-                sent="$sent $each"
+                case " $sent " in *" $pid_start "*) ;; *) send "$signal" "$pid_start" ;; esac
+                sent="$sent $pid_start"
             done
             [ "$signal" != KILL ] || $2 freeze THAWED
             [ -n "$known" ] || break
@@ -237,7 +239,7 @@ end_processes() {
             done
         done
     done
-    for each in $known; do echo "$each"; done
+    for pid_start in $known; do echo "$pid_start"; done
 }
 
 this() { "$@"; }
@@ -246,7 +248,7 @@ keep_living() {
     # shellcheck disable=SC2086
     set -- $known
     known=
-    for each; do if is_alive "$each"; then known="$known $each"; fi; done
+    for pid_start; do if is_alive "$pid_start"; then known="$known $pid_start"; fi; done
 }
 
 # Remove the control group of a program that has ended.
@@ -263,8 +265,8 @@ list_holders() {
 
 # A line "PID NAME" for each process. A name is any bytes.
 name_processes() {
-    for each; do
-        echo "${each%:*} $(LC_ALL=C tr -c '[:alnum:] ._:/@+-' '?' <"/proc/${each%:*}/comm")" | sed 's/?$//'
+    for pid_start; do
+        echo "${pid_start%:*} $(LC_ALL=C tr -c '[:alnum:] ._:/@+-' '?' <"/proc/${pid_start%:*}/comm")" | sed 's/?$//'
     done
 } 2>/dev/null
 

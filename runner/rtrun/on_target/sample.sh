@@ -48,8 +48,8 @@ threads() {
         {
             begin = index($0, ":"); begun = substr($0, 1, begin - 1)
             text = substr($0, begin + 1)
-            split(begun, of, "/")
-            if (begun == file && index(text, of[5] " (") != 1) { whole = whole "\\n" text; next }
+            split(begun, parts, "/")
+            if (begun == file && index(text, parts[5] " (") != 1) { whole = whole "\\n" text; next }
             if (file != "") list(file, whole)
             file = begun; whole = text
         }
@@ -89,9 +89,9 @@ details() {
         $1 == "rival" && ($2 in budget) { sub(/ 6 - /, " 6 " budget[$2] " ") }
         /^cpus / { sub(/\/status:.*/, "", $2); cpus[$2] = $4; next }
         $1 == "thread" { sub(" " $6 " ", " " (($6 in cpus) ? cpus[$6] : "-") " "); print; next }
-        $1 == "process" { count[$2]++; if ($3 in cpus) of[$2] = cpus[$3]; next }
+        $1 == "process" { count[$2]++; if ($3 in cpus) load_cpus[$2] = cpus[$3]; next }
         { print }
-        END { for (name in count) print "load", name, count[name], (name in of) ? of[name] : "-" }'
+        END { for (name in count) print "load", name, count[name], (name in load_cpus) ? load_cpus[name] : "-" }'
 }
 
 # Two lines: the totals, and what is above those of $1.

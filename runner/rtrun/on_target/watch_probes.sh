@@ -102,7 +102,7 @@ remove() {
 
 remove_leftovers() {
     {
-        for each in $tracing/instances/rtrun-observe-*; do echo "${each##*/rtrun-observe-}"; done
+        for leftover in $tracing/instances/rtrun-observe-*; do echo "${leftover##*/rtrun-observe-}"; done
         sed -n 's,^[pr][0-9]*:rtrun_observe_\([^/]*\)/.*,\1,p' $tracing/uprobe_events
     } | sort -u | while read -r old_name; do
         if is_gone "$old_name"; then remove "$old_name"; fi
@@ -203,7 +203,7 @@ print_programs() {
         young=$(printf '%s\n' known $processes young $young watched $watched now "$@" | awk -v all="$all" '
             /^[a-z]/ { part = $0 }
             part == "known" { known[$0] }
-            part == "young" && split($0, each, ":") == 2 { left[each[1]] = each[2] }
+            part == "young" && split($0, pair, ":") == 2 { left[pair[1]] = pair[2] }
             part == "watched" { watched["/proc/" $0] }
             part == "now" && /^[/]/ && !($0 in watched) {
                 age = ($0 in left) ? left[$0] - 1 : ($0 in known) ? -1 : 8
@@ -236,10 +236,10 @@ print_programs() {
 filter_threads() {
     any=4194305
     called="function == 0"
-    for each in ${1:+$functions}; do called="$called || function == 0x$each"; done
+    for address in ${1:+$functions}; do called="$called || function == 0x$address"; done
     filter="common_pid==$any" waking="pid==$any" switch="prev_pid==$any"
-    for each; do
-        tid=${each#*:}
+    for thread; do
+        tid=${thread#*:}
         filter="$filter||common_pid==$tid"
         waking="$waking||pid==$tid"
         switch="$switch||prev_pid==$tid||next_pid==$tid"
@@ -270,7 +270,7 @@ find_loops() {
         /^[a-z]/ { part = $0; next }
         part == "old" { old[$0] = 1; next }
         { if ($0 in old) delete old[$0]; else changed[$1] }
-        END { for (each in old) { split(each, ids, ":"); changed[ids[1]] } for (pid in changed) print pid }')
+        END { for (thread in old) { split(thread, ids, ":"); changed[ids[1]] } for (pid in changed) print pid }')
     threads=$now_followed
     # shellcheck disable=SC2086
     set -- $threads
@@ -303,8 +303,8 @@ rest_above_limit() {
 }
 
 enable_events() {
-    for each in $events "$group"; do
-        if [ -e "$instance/events/$each/enable" ]; then echo 1 >"$instance/events/$each/enable"; fi
+    for event in $events "$group"; do
+        if [ -e "$instance/events/$event/enable" ]; then echo 1 >"$instance/events/$event/enable"; fi
     done
 } 2>/dev/null
 
@@ -434,37 +434,37 @@ loop_limit=
 names=
 processes=$(echo /proc/[0-9]*)
 threads=
-while read -r word one two three rest; do
+while read -r word first second third rest; do
     case $word in
     p)
         [ -e $tracing/uprobe_events ] || fail "no probes: the target's kernel is built without CONFIG_UPROBE_EVENTS"
-        if ! open_library "$two" "${three%:*}"; then
-            echo "refused $one its file was replaced while the program runs: restart the program"
+        if ! open_library "$second" "${third%:*}"; then
+            echo "refused $first its file was replaced while the program runs: restart the program"
             continue
         fi
         # The same library at another place: the kernel places what belongs to an event when that is switched on.
-        { echo 0 >"$instance/events/$group/$one/enable"; } 2>/dev/null
+        { echo 0 >"$instance/events/$group/$first/enable"; } 2>/dev/null
         # Never by > alone: it would remove the probes of everybody.
-        if ! { printf '%s\n' "$word:$group/$one /proc/self/fd/5:${three##*:} $rest" >>$tracing/uprobe_events; } 2>/dev/null; then
+        if ! { printf '%s\n' "$word:$group/$first /proc/self/fd/5:${third##*:} $rest" >>$tracing/uprobe_events; } 2>/dev/null; then
             reason=$(sed -n 's,.* trace_uprobe: error: ,,p' $tracing/error_log 2>/dev/null | tail -n 1)
             case $reason in
             # The same file, which another container sees by another name.
             *"exact same probe"*) ;;
-            *) echo "refused $one ${reason:-the kernel does not take it}" && continue ;;
+            *) echo "refused $first ${reason:-the kernel does not take it}" && continue ;;
             esac
         fi
-        if ! { echo 1 >"$instance/events/$group/$one/enable"; } 2>/dev/null; then
-            echo "refused $one the kernel cannot place a probe on the instruction there"
-            { echo "-:$group/$one" >>$tracing/uprobe_events; } 2>/dev/null
+        if ! { echo 1 >"$instance/events/$group/$first/enable"; } 2>/dev/null; then
+            echo "refused $first the kernel cannot place a probe on the instruction there"
+            { echo "-:$group/$first" >>$tracing/uprobe_events; } 2>/dev/null
             continue
         fi
-        echo "placed $one"
-        print_formats "$instance/events/$group/$one/format"
+        echo "placed $first"
+        print_formats "$instance/events/$group/$first/format"
         ;;
-    watch) watched="$one $two $three $rest" ;;
-    loops) loop_limit=$one functions="$two $three $rest" ;;
+    watch) watched="$first $second $third $rest" ;;
+    loops) loop_limit=$first functions="$second $third $rest" ;;
     name) names="${names:+$names
-}$(printf '%s' "$one" | tr '\001' ' ')" ;;
+}$(printf '%s' "$first" | tr '\001' ' ')" ;;
     raw)
         raw=$tracing/instances/rtrun-observe-raw_$name
         # Few kilobytes hold the marks of the last rounds.

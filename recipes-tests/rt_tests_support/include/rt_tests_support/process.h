@@ -25,10 +25,10 @@ bool is_realtime(const Options& options);
 // Where threads allocate. Malloc locks a heap without priority inheritance: a real-time thread that shares one with threads of
 // normal scheduling waits until these get the CPU. On a busy CPU 1 allocation in 7 then took 5 to 8 ms, instead of 28 us at most.
 enum class Heaps {
-  one,         // of all threads, which therefore have one policy and priority
+  shared,      // of all threads, which therefore have one policy and priority
   per_thread,  // of each thread
 };
-Heaps heaps_of(const Options& options);  // one, unless --rt-scope measuring-thread leaves the other threads at normal scheduling
+Heaps heaps_of(const Options& options);  // shared, unless --rt-scope measuring-thread leaves the other threads at normal scheduling
 
 // The set-up of a process, in the order in which no real-time thread waits for memory: lock it, touch the stack, allocate, and
 // only then set the policy. Libraries may have started threads before main(), as LTTng's does in programs of ROS 2: these get

@@ -108,7 +108,7 @@ def test_a_user_who_may_not_write_there(open_folder, is_there):
 
 
 @pytest.mark.parametrize(
-    ("said", "message"),
+    ("refusal", "message"),
     [
         ("readonly /var/lib/rt-tests\n", "robot may not make or fill /var/lib/rt-tests: name a folder that robot may "
          "write to in a target file, as 'work_dir: /home/robot/rt-tests', or log in as root"),

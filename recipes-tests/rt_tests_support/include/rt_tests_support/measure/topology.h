@@ -250,22 +250,22 @@ class ExecutorThread {
 
   void receive(std::size_t input, const unsigned char* bytes, std::size_t size) {
     const int64_t now_ns = rt_tests::now_ns(CLOCK_MONOTONIC);
-    const InputOf& of = inputs_[input];
+    const InputOf& owner = inputs_[input];
     Head head;
-    if (size == of.message_bytes) std::memcpy(&head, bytes, sizeof head);
-    if (size != of.message_bytes || head.magic != Head::magic_number) {
+    if (size == owner.message_bytes) std::memcpy(&head, bytes, sizeof head);
+    if (size != owner.message_bytes || head.magic != Head::magic_number) {
       ++hosted.foreign;
       return;
     }
     last_message_ns_ = now_ns;
-    Ends& ends = nodes_[of.node];
-    if (!ends.node->receive(of.input, head, now_ns)) {
-      const std::size_t topic = ends.node->description->inputs[of.input].topic;
+    Ends& ends = nodes_[owner.node];
+    if (!ends.node->receive(owner.input, head, now_ns)) {
+      const std::size_t topic = ends.node->description->inputs[owner.input].topic;
       stop("more messages came than there can be: others publish on " + run_.process.topics[topic].name);
     } else if (now_ns >= works_until_ns_) {
       return;  // a queue that is longer than the run: it is not used
     } else if (ends.node->description->waits == Waits::any) {
-      activate(ends, now_ns, of.input);
+      activate(ends, now_ns, owner.input);
     } else if (ends.node->description->waits == Waits::all && ends.node->has_all_new()) {
       activate(ends, now_ns, HostedNode::all_inputs);
     }
