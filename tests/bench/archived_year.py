@@ -121,16 +121,16 @@ def lab() -> list[tuple[str, float, float, str]]:
         archive = Path(folder) / "archive"
         for board in range(BOARDS):
             write_course(archive, [100.0] * 167, machine=f"board-{board:02}", seed=board + 1)
-        one = write_course(Path(folder) / "one", [100.0])
+        single = write_course(Path(folder) / "one", [100.0])
         for words in ([], ["--grace", "1ns"]):
             subprocess.run([*rtrun, "archive", "compact", str(archive), *words], check=True, capture_output=True)
-        for asked, by, limit_s in ((archive, "day", 3.0), (archive, "kernel", 3.0), (one, "day", 1.0)):
+        for asked, by, limit_s in ((archive, "day", 3.0), (archive, "kernel", 3.0), (single, "day", 1.0)):
             start = time.perf_counter()
             command = [*rtrun, "history", str(asked), "--by", by, "--json"]
             done = subprocess.run(command, capture_output=True, text=True, check=True)
             taken = time.perf_counter() - start
             runs = sum(len(point["run_keys"]) for point in json.loads(done.stdout)["points"])
-            assert runs == (2 if asked is one else 334 * BOARDS), runs
+            assert runs == (2 if asked is single else 334 * BOARDS), runs
             checks.append((f"rtrun history --by {by} of {runs} runs", taken, limit_s, "s"))
     return checks
 

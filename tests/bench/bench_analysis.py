@@ -173,7 +173,7 @@ print((series // 1000).value_counts())
 def least(times: int, *commands: Sequence[str | Path]) -> list[Measured]:
     """Of so many whole processes of each command, in turn, those with the least processor time."""
     taken = [[measured(command) for command in commands] for _ in range(times)]
-    return [min(of_command, key=lambda one: one.cpu_s) for of_command in zip(*taken, strict=True)]
+    return [min(of_command, key=lambda run: run.cpu_s) for of_command in zip(*taken, strict=True)]
 
 
 def whole_processes(n: int) -> list[Check]:

@@ -24,11 +24,11 @@ ME, OTHER, IDLE = ("cyclic_timer_te", 1, 4), ("other", 2, 120), ("swapper/0", 0,
 def trace(index: int) -> str:
     """A trace whose CPUs switch between threads, with an outlier near its end."""
     begin_us = index * LINES * STEP_US
-    made = [head(VALUE_US, index, begin_us + (LINES // 6 - 40) * 6 * STEP_US + 20)]
+    lines = [head(VALUE_US, index, begin_us + (LINES // 6 - 40) * 6 * STEP_US + 20)]
     for number in range(LINES // 6):
         us = begin_us + number * 6 * STEP_US
         cpu = number % 2
-        made += [
+        lines += [
             line(us, "local_timer_entry: vector=236", cpu=cpu, flags="d.h.."),
             waking(us + 3, 1, cpu=cpu, target=cpu, flags="d.h2."),
             line(us + 6, "local_timer_exit: vector=236", cpu=cpu, flags="d.h.."),
@@ -36,7 +36,7 @@ def trace(index: int) -> str:
             line(us + 30, "page_fault_user: address=0x7f ip=0x55 error_code=0x6", cpu=cpu, name=ME[0], pid=1),
             switch(us + 40, ME, IDLE, cpu=cpu),
         ]
-    return "".join(made)
+    return "".join(lines)
 
 
 def test_sixteen_traces_of_512_kib_a_cpu(tmp_path: Path) -> None:
@@ -54,7 +54,7 @@ def test_sixteen_traces_of_512_kib_a_cpu(tmp_path: Path) -> None:
                 for text in stream:
                     PLAIN.match(text)
         plain_s.append(time.process_time() - began)
-        assert len(explained) == OUTLIERS and all(one.parts for one in explained)
+        assert len(explained) == OUTLIERS and all(outlier.parts for outlier in explained)
     size = sum(path.stat().st_size for path in paths)
     ratio = min(taken_s) / min(plain_s)
     print(f"\n{OUTLIERS} traces, {size / 1e6:.0f} MB: {min(taken_s):.2f} s, {ratio:.1f} plain loops over their lines")

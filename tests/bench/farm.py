@@ -91,7 +91,7 @@ class Board:
 def boards(folder: Path, count: int, recorded: Path, ros_master: int) -> Iterator[list[Board]]:
     """So many boards that replay a recorded run."""
     with contextlib.ExitStack() as stack:
-        made = []
+        boards_of_farm = []
         for number in range(count):
             own = folder / f"board-{number:02}"
             program = own / "suites" / "lib" / "cyclic_timer_tests" / "cyclic_timer_tests"
@@ -100,10 +100,10 @@ def boards(folder: Path, count: int, recorded: Path, ros_master: int) -> Iterato
             program.chmod(0o755)
             (own / "suites" / "build.json").write_text("{}")
             sshd = stack.enter_context(serve(own))
-            made.append(Board(name=own.name, sshd=sshd, file=own / "target.yml", calls=own / "calls"))
-            stack.callback(made[-1].end_programs)
-            write_target(made[-1].file, own.name, sshd, "suites", own / "target", ros_master)
-        yield made
+            boards_of_farm.append(Board(name=own.name, sshd=sshd, file=own / "target.yml", calls=own / "calls"))
+            stack.callback(boards_of_farm[-1].end_programs)
+            write_target(boards_of_farm[-1].file, own.name, sshd, "suites", own / "target", ros_master)
+        yield boards_of_farm
 
 
 def write_target(file: Path, name: str, sshd: Sshd, suites: object, work_dir: Path, ros_master: int) -> None:
@@ -163,8 +163,8 @@ def injure(farm: Sequence[Board]) -> threading.Thread:
                 time.sleep(0.1)
             acting.append(threading.Thread(target=fault, args=(board,)))
             acting[-1].start()
-        for each in acting:
-            each.join()
+        for acting_thread in acting:
+            acting_thread.join()
 
     thread = threading.Thread(target=act)
     thread.start()

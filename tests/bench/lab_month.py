@@ -58,7 +58,7 @@ def rtrun(*words: object) -> tuple[str, float]:
     return done.stdout, time.perf_counter() - start
 
 
-def receiving(told: dict[str, list[int]], night: list[int]) -> http.server.ThreadingHTTPServer:
+def receiving(nights_told: dict[str, list[int]], night: list[int]) -> http.server.ThreadingHTTPServer:
     """A web hook that writes down in which night it was told of what."""
 
     class Hook(http.server.BaseHTTPRequestHandler):
@@ -66,7 +66,7 @@ def receiving(told: dict[str, list[int]], night: list[int]) -> http.server.Threa
             for alarm in json.loads(self.rfile.read(int(self.headers["Content-Length"])))["alarms"]:
                 # No place has an exporter, and in the first night all boards are new.
                 if alarm["kind"] not in ("offline", "new"):
-                    told.setdefault(alarm["about"], []).append(night[0])
+                    nights_told.setdefault(alarm["about"], []).append(night[0])
             self.send_response(200)
             self.end_headers()
 
@@ -78,13 +78,13 @@ def receiving(told: dict[str, list[int]], night: list[int]) -> http.server.Threa
     return server
 
 
-def check_told(told: dict[str, list[int]]) -> None:
+def check_told(nights_told: dict[str, list[int]]) -> None:
     """Every planted thing once and in time, nothing that is known, and nothing else."""
     begun = {name_of(board): begin for board, begin in ILL_FROM.items()}
-    scenario = next(about for about in told if " on " in about).rpartition(" on ")[0]
+    scenario = next(about for about in nights_told if " on " in about).rpartition(" on ")[0]
     begun |= {f"{scenario} on {name_of(board)}": begin for board, begin in WORSE_FROM.items() if board != KNOWN}
-    assert told.keys() == begun.keys(), (told, begun)
-    for about, nights in told.items():
+    assert nights_told.keys() == begun.keys(), (nights_told, begun)
+    for about, nights in nights_told.items():
         late = nights[0] - begun[about]
         print(f"{about}: from night {begun[about]} on, told {len(nights)} times, first {late} nights later")
         assert len(nights) == 1 and 0 <= late <= TOLD_WITHIN, about
@@ -92,14 +92,14 @@ def check_told(told: dict[str, list[int]]) -> None:
 
 def month(folder: Path) -> list[tuple[str, float, float, str]]:
     """Live through it; returns what it took, with a limit for each."""
-    archive, later, told, night = folder / "archive", folder / "later", {}, [0]
+    archive, later, nights_told, night = folder / "archive", folder / "later", {}, [0]
     store = make_archive(str(archive))
     with mock.patch("os.fsync"):
         write_month(later)
     (folder / "farm").mkdir()
     slowest_s = 0.0
     with (
-        receiving(told, night) as hook,
+        receiving(nights_told, night) as hook,
         farm_of(folder / "farm", {name_of(board): {} for board in range(BOARDS)}, {}) as farm,
     ):
         receiver = {"name": "chat", "kind": "hook", "url": f"http://127.0.0.1:{hook.server_port}/"}
@@ -117,14 +117,14 @@ def month(folder: Path) -> list[tuple[str, float, float, str]]:
                 rtrun("archive", "annotate", archive, "--known", "--reason", "fan", "--machine", name_of(KNOWN))
             rtrun("notify", folder / "receivers.yml", archive)
             taken_s = time.perf_counter() - start
-            print(f"night {night[0]}: {taken_s:.1f} s, told of {told}", flush=True)
+            print(f"night {night[0]}: {taken_s:.1f} s, told of {nights_told}", flush=True)
             slowest_s = max(slowest_s, taken_s)
         hook.shutdown()
         os.environ["LG_COORDINATOR"] = farm.coordinator
         printed, farm_s = rtrun("farm", "--archive", archive, "--json")
     places = json.loads(printed)["places"]
     assert len(places) == BOARDS and sum(place["quarantine"] is not None for place in places) == len(ILL_FROM)
-    check_told(told)
+    check_told(nights_told)
     printed, history_s = rtrun("history", archive, "--json")
     runs = sum(len(point["run_keys"]) for point in json.loads(printed)["points"])
     assert runs == BOARDS * NIGHTS * 2, runs
@@ -132,13 +132,13 @@ def month(folder: Path) -> list[tuple[str, float, float, str]]:
     page = (folder / "site" / "boards.html").read_text()
     assert f"✗ {len(WORSE_FROM) - 1} of {BOARDS} boards:" in page and page.count('<th scope="row">') == BOARDS
     files = sum(1 for path in archive.rglob("*") if path.is_file() and path.parent.name in ("runs", "histograms"))
-    of = f"{BOARDS} boards, {NIGHTS} nights, {runs} runs"
+    size = f"{BOARDS} boards, {NIGHTS} nights, {runs} runs"
     return [
-        (f"{of}: the slowest night's compact and notify", slowest_s, NIGHT_S, "s"),
-        (f"{of}: rtrun history", history_s, HISTORY_S, "s"),
-        (f"{of}: rtrun site with its page of boards ({len(page) / 1e3:.0f} kB)", site_s, SITE_S, "s"),
-        (f"{of}: rtrun farm", farm_s, FARM_S, "s"),
-        (f"{of}: files of runs and histograms", files, FILES_MAX, ""),
+        (f"{size}: the slowest night's compact and notify", slowest_s, NIGHT_S, "s"),
+        (f"{size}: rtrun history", history_s, HISTORY_S, "s"),
+        (f"{size}: rtrun site with its page of boards ({len(page) / 1e3:.0f} kB)", site_s, SITE_S, "s"),
+        (f"{size}: rtrun farm", farm_s, FARM_S, "s"),
+        (f"{size}: files of runs and histograms", files, FILES_MAX, ""),
     ]
 
 

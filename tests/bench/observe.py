@@ -88,7 +88,7 @@ def measured_turns(processes, link, hits):
     inspection.inspect(link)
     scripts = deploy.deploy(link, deploy.ON_TARGET, "scripts")
     pids = {process.pid for process in processes}
-    found = tuple(each for each in find_programs(link, scripts).found if each.program.pid in pids)
+    found = tuple(seen for seen in find_programs(link, scripts).found if seen.program.pid in pids)
     assert len(found) == len(processes)
     placement = place(link, found, events=events())
     before = set(INSTANCES.glob("rtrun-observe-*"))

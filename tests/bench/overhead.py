@@ -116,8 +116,8 @@ def time_by_hand(results: Path, run: Run, folder: Path, port: int) -> float:
                 argv, cwd=folder, env=environment, stdout=output, stderr=output, start_new_session=True
             )
 
-        for each in loads:
-            load = start(list(each.program.argv))
+        for entry in loads:
+            load = start(list(entry.program.argv))
             stack.callback(load.wait)
             stack.callback(os.killpg, load.pid, signal.SIGKILL)
         time.sleep(run.settle_s)

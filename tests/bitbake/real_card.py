@@ -195,13 +195,13 @@ def test_card(yocto, wic, native_sysroot, root_file_system, machine, tmp_path):
     table = table["partitiontable"]
     assert table["label"] == ("gpt" if expected.efi else "dos")
     partitions = table["partitions"]
-    (boot,) = [one for one in partitions if one["type"] == (GPT_FAT if expected.efi else FAT)]
-    (root,) = [one for one in partitions if one["type"] == (GPT_LINUX if expected.efi else LINUX)]
+    (boot,) = [partition for partition in partitions if partition["type"] == (GPT_FAT if expected.efi else FAT)]
+    (root,) = [partition for partition in partitions if partition["type"] == (GPT_LINUX if expected.efi else LINUX)]
     assert boot.get("bootable") or boot.get("attrs") == "LegacyBIOSBootable"
-    aligned = [one["start"] * SECTOR % (expected.align_kib * 1024) for one in (boot, root)]
+    aligned = [partition["start"] * SECTOR % (expected.align_kib * 1024) for partition in (boot, root)]
     assert aligned == [0, 0] and boot["start"] > 0
-    for one, following in itertools.pairwise(partitions):
-        assert following["start"] >= one["start"] + one["size"]
+    for partition, following in itertools.pairwise(partitions):
+        assert following["start"] >= partition["start"] + partition["size"]
     assert (partitions[-1]["start"] + partitions[-1]["size"]) * SECTOR <= card.stat().st_size
     if expected.boot_mib is not None:
         assert boot["size"] * SECTOR == expected.boot_mib * MIB

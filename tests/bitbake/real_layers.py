@@ -222,7 +222,7 @@ def test_suites_are_compiled_and_installed(yocto, built_suites):
     with_ros = described if ros.version else {}
     # The wheels have no rclcpp.
     client = "_rcl" if ros.version == 2 else ""
-    wanted = {f"{suite}/{name}{client}" for suite, said in with_ros.items() for name in said["programs"]}
+    wanted = {f"{suite}/{name}{client}" for suite, entry in with_ros.items() for name in entry["programs"]}
     transports = [name for name, debian in builder.transports().items() if name in ros.transports or not debian]
     names = described["communication_tests"]["programs"]
     wanted |= {f"transport_tests/{program}_{transport}" for program in names for transport in transports}

@@ -65,12 +65,14 @@ def build_suites(make_build, name, machine, local, clients, kind):
     wanted["rt-tests-sampler"] = ["rt_tests_allocations.so", "rt_tests_sampler"]
     for suite, programs in wanted.items():
         package = suite.replace("-", "_")
-        installed = {path for path, of in files[suite].items() if path.startswith(f"{prefix}/lib/") and of == suite}
+        installed = {
+            path for path, owner in files[suite].items() if path.startswith(f"{prefix}/lib/") and owner == suite
+        }
         assert installed == {f"{prefix}/lib/{package}/{program}" for program in programs}
         for path in installed:
             binary = next(build.folder.glob(f"tmp/work/{suite}/*/image{path}"))
-            said = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout
-            assert all(word in said for word in ("ELF", *kind)), said
+            printed = subprocess.run(["file", "-b", binary], capture_output=True, text=True, check=True).stdout
+            assert all(word in printed for word in ("ELF", *kind)), printed
         assert files[suite][f"{prefix}/share/{package}/package.xml"] == suite
     for of_suite in files.values():
         assert [path for path, package in of_suite.items() if not package] == []
@@ -96,8 +98,8 @@ def test_without_ros(make_build):
     assert " /usr/lib;" in script
     script = script.replace(" /usr/lib;", f" {lib};")
     command = ["sh", "-s", str(build.folder), ""]
-    said = subprocess.run(command, input=script, stdout=subprocess.PIPE, text=True, check=True).stdout
-    found = {Path(line.removeprefix("program ")).name for line in said.splitlines() if line.startswith("program ")}
+    printed = subprocess.run(command, input=script, stdout=subprocess.PIPE, text=True, check=True).stdout
+    found = {Path(line.removeprefix("program ")).name for line in printed.splitlines() if line.startswith("program ")}
     assert found == {"rt_tests_sampler", *(path.name for path in (lib / "transport_tests").iterdir())}
     assert len(found) > 2 * len(WITHOUT_A_LIBRARY)
 
@@ -118,9 +120,11 @@ def test_on_ros_2(make_build):
     stage = build.folder / "tmp/stage/opt/ros/lyrical"
     script = f". {Path(rtrun.__file__).parent}/on_target/middleware/rcl.sh"
     environment = os.environ | {"ros_setup": str(stage / "setup.sh")}
-    said = subprocess.run(["sh", "-c", script], env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
+    printed = subprocess.run(
+        ["sh", "-c", script], env=environment, stdout=subprocess.PIPE, text=True, check=True
+    ).stdout
     names = [f"{program}_rcl" for programs in PROGRAMS.values() for program in programs] + ["rt_tests_sampler"]
-    assert sorted(Path(line.removeprefix("program ")).name for line in said.splitlines()) == sorted(names)
+    assert sorted(Path(line.removeprefix("program ")).name for line in printed.splitlines()) == sorted(names)
 
     conf = build.folder / "conf/local.conf"
     conf.write_text(conf.read_text().replace("EXTRA_OECMAKE:remove", "UNUSED"))

@@ -131,7 +131,9 @@ def _with_other_cells(random_: random.Random, data: bytes) -> bytes:
         table, columns = random_.choice(
             [("event", ["time", "run", "what", "reason"]), ("campaign", ["uid", "name", "plan", "target"])]
         )
-        value = random_.choice([each for each in VALUES if not isinstance(each, list | dict)] + [b"\xff\0"])
+        value = random_.choice(
+            [candidate for candidate in VALUES if not isinstance(candidate, list | dict)] + [b"\xff\0"]
+        )
         limit = random_.randint(1, 20)
         database.execute(f"UPDATE {table} SET {random_.choice(columns)} = ? WHERE rowid <= ?", (value, limit))
         if random_.random() < 0.1:

@@ -177,15 +177,15 @@ def test_nothing_is_lost_or_run_twice(lab):
         for number in range(KILLS):
             # Spread over the campaigns.
             while lab.closed < number * CAMPAIGNS // (KILLS + 1):
-                assert not any(each.done() and each.exception() for each in waiting)
+                assert not any(future.done() and future.exception() for future in waiting)
                 time.sleep(0.1)
             time.sleep(lab.random.uniform(0, 5))
             kill = lab.random.choice(lab.kills())
             print(f"{time.monotonic() - began:6.0f} s  {number + 1} of {KILLS}: {kill.__name__}", flush=True)
             kill()
             lab.done[kill.__name__] += 1
-        for each in waiting:
-            each.result()
+        for future in waiting:
+            future.result()
     print(f"seed {SEED}, {BOARDS} boards, {CAMPAIGNS} campaigns in {time.monotonic() - began:.0f} s:", lab.done)
 
     assert "Traceback" not in (lab.folder / "rtrun.log").read_text()

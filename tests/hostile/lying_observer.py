@@ -78,11 +78,11 @@ def hits(lie: str):
 
 def pages(lie: str):
     """Pages full of hits that are nanoseconds apart: those that were made beforehand, again and again, in new times."""
-    made, ready = hits(lie), []
+    source, ready = hits(lie), []
     for _ in range(PAGES):
         data = b""
         while len(data) < (100 if lie in ("pages", "one text") else 3500):
-            data += event(1, next(made))
+            data += event(1, next(source))
         ready.append(page(BEGIN_NS, data)[8:])
     return (
         # The time goes on by a second with each million.
@@ -113,9 +113,9 @@ def main() -> None:
         formats["publish_0_0"] += more
     head = f"rtrun observes\nheader_page\n{HEADERS[64]}rtrun end header_page\n"
     head += "".join(f"placed {name}\n" for name in formats)
-    told = {f"rtrun_observe_1_2_3/{name}": text for name, text in formats.items()} | {"ftrace/print": PRINT}
-    told["/events/sched/sched_switch"] = SWITCH
-    head += "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in told.items())
+    formats_by_path = {f"rtrun_observe_1_2_3/{name}": text for name, text in formats.items()} | {"ftrace/print": PRINT}
+    formats_by_path["/events/sched/sched_switch"] = SWITCH
+    head += "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in formats_by_path.items())
     say(f"{head}ready\n".encode())
     begin_ns = BEGIN_NS - 10 if lie != "clock" else 1 << 62
     say(a_round(1, cpu0=page(begin_ns, event(0, mark("observes")) + event(1, mark("round 1")))))
@@ -170,17 +170,17 @@ def main() -> None:
         say(b"pages 0\n")
         while True:
             say(lost * 100)
-    made = pages(lie)
+    endless = pages(lie)
     if lie == "one round":
         say(b"round 2\npages 0\n")
         while True:
-            say(next(made))
+            say(next(endless))
     end_s = time.monotonic() + 1
     for number in itertools.count(2):
         at_ns = BEGIN_NS + number * 10**9
         say(a_round(number, cpu0=page(at_ns, event(0, mark(f"round {number}")))) + b"pages 0\n")
         while time.monotonic() < end_s:
-            say(b"".join(itertools.islice(made, 16)))
+            say(b"".join(itertools.islice(endless, 16)))
         say(b"rtrun end pages\n")
         end_s += 1
 

@@ -34,11 +34,11 @@ def words(*folders):
 def main(victim, *folders):
     if os.environ.get("INSIDE") is None:
         marks = (b"RTRUN_SYSTEM=", b"RTRUN_PROGRAM=", b"RTRUN_COMMAND=", b"")
-        each = {
+        marked = {
             f"W{n}".encode(): mark + word
             for n, (mark, word) in enumerate((m, w) for m in marks for w in words(*folders))
         }
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**each, b"INSIDE": b"1"})
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**marked, b"INSIDE": b"1"})
     for folder in folders:
         for path in Path(folder).glob("*"):
             with contextlib.suppress(OSError):

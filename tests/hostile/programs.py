@@ -22,8 +22,8 @@ def wait_until(condition):
 
 def command_lines(link):
     """Of all processes, by number."""
-    each = r"""
+    script = r"""
         for p in /proc/[0-9]*; do printf '%s %s\n' "${p#/proc/}" "$(tr '\0\n' '  ' <$p/cmdline)"; done 2>/dev/null
     """
-    lines = (line.partition(" ") for line in link.check(["sh", "-c", each]).splitlines())
+    lines = (line.partition(" ") for line in link.check(["sh", "-c", script]).splitlines())
     return {int(number): words.strip() for number, _, words in lines}

@@ -343,7 +343,7 @@ def _joined(link: Link) -> object:
 
 def _placed(link: Link) -> object:
     found = watched.parse_programs(PROGRAM.replace(" (deleted)", ""), "board").found
-    return placement._look(link, [(each, mapped) for each in found for mapped in each.mapped])
+    return placement._look(link, [(program, mapped) for program in found for mapped in program.mapped])
 
 
 def _watch(path: Path) -> None:
@@ -353,10 +353,10 @@ def _watch(path: Path) -> None:
     late = LateValueRecord("10us", {})
     flows = FlowAccumulator(begin_ns=1, paths=[("/a", "/a")], on_turn=late.turn)
     figures = LiveFigures(flows, on_values=late.look)
-    pieces = (each for start in range(0, len(data), 5000) for each in reader.feed(data[start : start + 5000]))
-    for batch in itertools.chain((each for each in pieces if isinstance(each, Batch)), (reader.rest() for _ in "1")):
-        flows.observe(each.program for each in batch.programs)
-        flows.offset("system", batch.until_ns, next((each.offset_ns for each in batch.clocks), 0))
+    pieces = (piece for start in range(0, len(data), 5000) for piece in reader.feed(data[start : start + 5000]))
+    for batch in itertools.chain((piece for piece in pieces if isinstance(piece, Batch)), (reader.rest() for _ in "1")):
+        flows.observe(begun.program for begun in batch.programs)
+        flows.offset("system", batch.until_ns, next((clock.offset_ns for clock in batch.clocks), 0))
         late.record(batch)
         flows.feed([*batch.hits, *batch.gaps])
         figures.snapshot(batch.until_ns)
@@ -384,7 +384,10 @@ def _check_facts(path: Path) -> None:
 
 def _observe(path: Path) -> None:
     observations = observations_of(path.parent)
-    summarize(observations, [state for each in observations for states in each.threads.values() for state in states])
+    summarize(
+        observations,
+        [state for observation in observations for states in observation.threads.values() for state in states],
+    )
 
 
 def _baseline(folder: Path) -> None:
@@ -403,11 +406,11 @@ def _histogram() -> bytes:
 
 def _samples() -> Files:
     values_ns = np.array([5000, 0, 64_000], dtype=np.int64)
-    one = ImportedSamples(
+    imported = ImportedSamples(
         source="x", name="x", values_ns=values_ns, period_ns=1e6, left_out=("the unit",), parameters={}
     )
     with tempfile.TemporaryDirectory() as folder:
-        write_samples(Path(folder), one)
+        write_samples(Path(folder), imported)
         return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
 
 
@@ -562,12 +565,12 @@ def _seal(folder: Path) -> None:
     with contextlib.suppress(ValueError, TypeError, RecursionError):
         record = json.loads(path.read_text())
         record["files"] = {
-            each.name: {
-                "size_bytes": each.stat().st_size,
-                "sha256": hashlib.sha256(each.read_bytes()).hexdigest(),
+            file.name: {
+                "size_bytes": file.stat().st_size,
+                "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
             }
-            for each in folder.iterdir()
-            if each != path
+            for file in folder.iterdir()
+            if file != path
         }
         path.write_text(json.dumps(record))
 

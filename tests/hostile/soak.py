@@ -243,7 +243,7 @@ def test_every_run_is_finished_once(soak, tmp_path):
         assert record.status is RunStatus.OK
         assert executed[record.attempt] == 1, (folder.name, executed[record.attempt])
         earlier = [_status(old) for old in soak.results.glob(f"{folder.name}.old-*")]
-        assert len([each for each in earlier if each in (None, "ok")]) == soak.damaged[folder.name], folder.name
+        assert len([status for status in earlier if status in (None, "ok")]) == soak.damaged[folder.name], folder.name
     assert subprocess.run([*soak.argv[:3], "verify", str(soak.results)], check=False).returncode == 0
     assert not list(soak.work_dir.glob("runs/*/*")), "nothing of a run stays on the target"
 

@@ -51,8 +51,8 @@ def main() -> None:
     at, word = (*sys.argv[1:3], "", "")[:2]
     head = f"rtrun observes\nheader_page\n{HEADERS[64]}rtrun end header_page\n"
     head += "".join(f"placed {name}\n" for name in FORMATS)
-    told = {f"rtrun_observe_1_2_3/{name}": text for name, text in FORMATS.items()} | {"ftrace/print": PRINT}
-    head += "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in told.items())
+    formats_by_path = {f"rtrun_observe_1_2_3/{name}": text for name, text in FORMATS.items()} | {"ftrace/print": PRINT}
+    head += "".join(f"format {name}/format\n{text}rtrun end format\n" for name, text in formats_by_path.items())
     say(f"{head}ready\n".encode())
     number, is_over = 0, False
     while not is_over:

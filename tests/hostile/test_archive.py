@@ -124,8 +124,8 @@ def called(*words):
 )
 def test_more_rows_than_a_run_has_in_few_bytes(archive, table, rows, what):
     write_rows(sorted((archive / table).rglob("*.parquet"))[0], rows)
-    status, said, peak_mib = history(archive, "--json")
-    assert status == 2 and what in said, said
+    status, printed, peak_mib = history(archive, "--json")
+    assert status == 2 and what in printed, printed
     assert peak_mib < MEMORY_MIB
 
 
@@ -140,13 +140,13 @@ def test_many_row_groups_are_refused_before_their_list_is_read(archive, table, g
     rows = pyarrow.concat_tables([pyarrow.parquet.ParquetFile(path).read()] * groups).combine_chunks().slice(0, groups)
     pyarrow.parquet.write_table(rows, path, row_group_size=1, store_schema=False)
     for command in (("history",), ("trends",), ("archive", "compact")):  # which may write, comes last
-        status, said, peak_mib = called(*command, archive)
+        status, printed, peak_mib = called(*command, archive)
         assert peak_mib < GROUPS_MEMORY_MIB, command
         if groups > 1024:
             refused = f"{path}: its footer is damaged, or lists more than 1024 row groups: "
-            assert status == 2 and refused in said, (command, said)
+            assert status == 2 and refused in printed, (command, printed)
         else:
-            assert status == (2 if table == "runs" else 0), (command, said)
+            assert status == (2 if table == "runs" else 0), (command, printed)
 
 
 def test_many_files_are_not_held_at_one_time(tmp_path):
@@ -154,11 +154,11 @@ def test_many_files_are_not_held_at_one_time(tmp_path):
     archive = write_course(tmp_path / "archive", [100.0] * 5)
     for path in (archive / "histograms").rglob("*.parquet"):
         write_rows(path, 4_000_000)
-    status, said, peak_mib = history(archive, "--by", "board")
-    assert status == 0 and peak_mib < 3 * MEMORY_MIB, (said, peak_mib)
+    status, printed, peak_mib = history(archive, "--by", "board")
+    assert status == 0 and peak_mib < 3 * MEMORY_MIB, (printed, peak_mib)
     # However many processors there are, no more are added up at one time.
-    status, said, peak_mib = history(archive, "--by", "run")
-    assert status == 0 and peak_mib < 3 * MEMORY_MIB, (said, peak_mib)
+    status, printed, peak_mib = history(archive, "--by", "run")
+    assert status == 0 and peak_mib < 3 * MEMORY_MIB, (printed, peak_mib)
 
 
 def test_bins_that_differ_are_not_held_without_end(tmp_path, capsys, monkeypatch):
@@ -171,6 +171,6 @@ def test_bins_that_differ_are_not_held_without_end(tmp_path, capsys, monkeypatch
     assert capsys.readouterr().out == whole
     monkeypatch.setattr(queries, "ROWS_MAX", 1000)
     assert main(argv) == 2
-    said = capsys.readouterr().err
-    assert f"{archive}: oneshot" in said and "the histograms of 10 runs have " in said, said
-    assert "at most 1000 are held: ask for fewer runs together (--by month, day or run)" in said
+    err = capsys.readouterr().err
+    assert f"{archive}: oneshot" in err and "the histograms of 10 runs have " in err, err
+    assert "at most 1000 are held: ask for fewer runs together (--by month, day or run)" in err

@@ -135,8 +135,8 @@ def test_a_control_group_of_the_same_name(place):
         forged = his / ours.name
         forged.mkdir()
         stack.callback(forged.rmdir)
-        for each in (his, his / "cgroup.procs", forged, forged / "cgroup.procs"):
-            os.chown(each, OTHER, OTHER)
+        for path in (his, his / "cgroup.procs", forged, forged / "cgroup.procs"):
+            os.chown(path, OTHER, OTHER)
         liar = subprocess.Popen([*AS_OTHER, "sleep", "6002"], start_new_session=True)
         stack.callback(liar.wait)
         stack.callback(liar.kill)

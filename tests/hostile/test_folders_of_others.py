@@ -26,10 +26,10 @@ def acl(permissions):
 
 
 def by_script(path, *shell):
-    said = subprocess.run(
+    done = subprocess.run(
         [*shell, "-s", str(path)], input=work_folder.SCRIPT.read_text(), capture_output=True, text=True, check=True
     )
-    return said.stdout
+    return done.stdout
 
 
 def by_runner(path):
@@ -47,8 +47,8 @@ def other_writes(path):
 
 @pytest.fixture
 def place(tmp_path):
-    for each in (tmp_path, *tmp_path.parents[:2]):
-        each.chmod(0o755)
+    for folder in (tmp_path, *tmp_path.parents[:2]):
+        folder.chmod(0o755)
     return tmp_path
 
 
@@ -59,16 +59,16 @@ def test_a_default_acl_that_the_remedy_leaves(place):
     os.setxattr(folder, "system.posix_acl_default", acl(7))
     subprocess.run(["chown", "-R", "root:root", folder], check=True)
     subprocess.run(["chmod", "-R", "go-w", folder], check=True)
-    said = by_script(folder, "sh")
-    assert said or not other_writes(folder / "objects/evil")
+    refusal = by_script(folder, "sh")
+    assert refusal or not other_writes(folder / "objects/evil")
 
 
 def test_a_default_acl_of_a_folder_of_results(place):
     os.setxattr(place, "system.posix_acl_default", acl(7))
-    said = by_runner(place / "results")
-    if not said:
+    refusal = by_runner(place / "results")
+    if not refusal:
         (place / "results/001").mkdir()
-    assert said or not other_writes(place / "results/001/evil")
+    assert refusal or not other_writes(place / "results/001/evil")
 
 
 def test_an_acl_by_the_runner(place):
@@ -85,8 +85,8 @@ def test_an_acl_where_ls_is_that_of_busybox(place):
     os.setxattr(folder, "system.posix_acl_access", acl(7))
     for name in ("ls", "sh"):
         (tools / name).symlink_to("/usr/bin/busybox")
-    said = by_script(folder, "env", f"PATH={tools}:/usr/bin:/bin", "sh")
-    assert said or not other_writes(folder / "evil")
+    refusal = by_script(folder, "env", f"PATH={tools}:/usr/bin:/bin", "sh")
+    assert refusal or not other_writes(folder / "evil")
 
 
 @pytest.mark.parametrize(
@@ -114,8 +114,8 @@ def test_a_sticky_folder_at_the_end(place, asked, way):
     elif way == "new/..":
         (sticky / "runs").mkdir()
         path = sticky / "runs/.."
-    said = asked(path)
-    assert "can be written by every user" in said, said or "accepted"
+    refusal = asked(path)
+    assert "can be written by every user" in refusal, refusal or "accepted"
 
 
 def test_a_list_of_rights_to_read_is_no_objection(place):
@@ -140,9 +140,9 @@ def test_a_group_that_stands_in_two_lines(place, tmp_path, second):
     runner = subprocess.run(
         [*with_groups, sys.executable, "-c", code, str(folder / "results")], capture_output=True, text=True, check=False
     )
-    said = "can be written by the group 0"
-    assert (said in runner.stderr) == bool(second)
-    assert (said.replace("the ", "") in by_script(folder / "work", *with_groups, "sh")) == bool(second)
+    refusal = "can be written by the group 0"
+    assert (refusal in runner.stderr) == bool(second)
+    assert (refusal.replace("the ", "") in by_script(folder / "work", *with_groups, "sh")) == bool(second)
 
 
 @pytest.mark.parametrize(
@@ -275,6 +275,6 @@ def test_a_file_system_of_another_user_is_not_looked_into(place, name, below):
     folder = place / name
     folder.mkdir()
     with served(folder, OTHER):
-        said = f"{folder} is a file system (FUSE) of another user"
-        assert said in by_runner(Path(f"{folder}{below}"))
-        assert by_script(f"{folder}{below}", "timeout", "20", "sh") == f"unsafe {said}\n"
+        reason = f"{folder} is a file system (FUSE) of another user"
+        assert reason in by_runner(Path(f"{folder}{below}"))
+        assert by_script(f"{folder}{below}", "timeout", "20", "sh") == f"unsafe {reason}\n"

@@ -46,16 +46,19 @@ def why(results):
 @pytest.mark.parametrize("call", [report, gate, why])
 def test_a_full_disk_is_an_error(capsys, results, call):
     assert main(call(results)) == 2
-    said = capsys.readouterr()
-    assert FULL_SAID in said.err and "written for" not in said.out and f"{FULL}\n" not in said.out
+    printed = capsys.readouterr()
+    assert FULL_SAID in printed.err and "written for" not in printed.out and f"{FULL}\n" not in printed.out
 
 
 def test_why_without_a_trace_writes_no_empty_file(capsys, results, tmp_path):
     """/dev/full takes nothing, too: it is no sign of success."""
     for place in (FULL, str(tmp_path / "none.pftrace")):
         assert main(["why", str(results), "--perfetto", place]) == 2
-        said = capsys.readouterr()
-        assert f"{place}: not written: no value of {results} has a trace" in said.err and "written for" not in said.out
+        printed = capsys.readouterr()
+        assert (
+            f"{place}: not written: no value of {results} has a trace" in printed.err
+            and "written for" not in printed.out
+        )
     assert not (tmp_path / "none.pftrace").exists()
 
 
@@ -102,8 +105,8 @@ def written_by(parser):
     """The options of a command that name a file or folder to write, sub-commands included."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            for name, each in action.choices.items():
-                yield from ((name, *rest) for rest in written_by(each))
+            for name, subparser in action.choices.items():
+                yield from ((name, *rest) for rest in written_by(subparser))
         elif action.type is Path and any(word in (action.help or "") for word in ("write", "keep", "made", "pages")):
             yield (action.option_strings[0] if action.option_strings else action.dest,)
 

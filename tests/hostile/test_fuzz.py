@@ -71,8 +71,8 @@ def test_a_number_beyond_its_limit_is_refused_where_it_is_read(tmp_path, capsys,
         parent = parent[word]
     parent[last] = value
     (tmp_path / name).write_text(json.dumps(data))
-    said = refused_by(tmp_path, "why" if name == "target.json" else "show", capsys)
-    assert f"{tmp_path / name}: {place.partition('.')[0]}" in said
+    refusal = refused_by(tmp_path, "why" if name == "target.json" else "show", capsys)
+    assert f"{tmp_path / name}: {place.partition('.')[0]}" in refusal
 
 
 @pytest.mark.parametrize("value", [2**61, -(2**61), 10**18 + 1])

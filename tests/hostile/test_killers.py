@@ -31,9 +31,9 @@ def test_what_an_unprivileged_user_makes_up_ends_nothing(place, tmp_path):
     if os.geteuid() != 0:
         pytest.skip("only root can become another user")
     link, folder, _ = place
-    for each in (tmp_path, *tmp_path.parents):
-        if each.stat().st_uid == os.getuid() and each != Path("/"):
-            each.chmod(each.stat().st_mode | 0o055)
+    for above in (tmp_path, *tmp_path.parents):
+        if above.stat().st_uid == os.getuid() and above != Path("/"):
+            above.chmod(above.stat().st_mode | 0o055)
     attack = shutil.copy(MAKE_BELIEVE, tmp_path)
     start(link, folder, "sleep 601 & sleep 602")
     victim = int(link.check(["sh", "-c", "setsid sleep 603 >/dev/null 2>&1 </dev/null & echo $!"]))

@@ -85,6 +85,6 @@ def test_an_hour_that_is_honest(tmp_path):
     assert ended.status == 0, ended.stderr
     assert ended.peak_mib < 160
     samples = {path.parent.name: np.load(path, mmap_mode="r") for path in (tmp_path / "results").rglob("*.npy")}
-    assert {len(each) for each in samples.values()} == {999_999} and len(samples) == 5
-    (messages,) = (each for name, each in samples.items() if "messages" in name)
+    assert {len(rows) for rows in samples.values()} == {999_999} and len(samples) == 5
+    (messages,) = (rows for name, rows in samples.items() if "messages" in name)
     assert np.array_equal(messages[:, 2], np.arange(999_999))

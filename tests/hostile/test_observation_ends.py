@@ -84,7 +84,7 @@ def once_seen(monkeypatch, *acts, seconds=(1,)):
 
     def fed(flows, items):
         if not started:
-            started.extend(threading.Timer(*each) for each in zip(seconds, acts, strict=True))
+            started.extend(threading.Timer(*timing) for timing in zip(seconds, acts, strict=True))
             for timer in started:
                 timer.start()
         return feed(flows, items)

@@ -213,14 +213,14 @@ def test_a_link_that_is_lost_for_good(tmp_path, sshd, standin):
 
 
 @pytest.mark.parametrize(
-    ("lie", "said"),
+    ("lie", "reason"),
     [
         ('echo "a lie"', "unexpected line 'a lie'"),
         ('echo "round 0"', "cannot be read"),
         ("echo rtrun end done; kill -KILL 0", "was ended there by signal 9"),
     ],
 )
-def test_a_lying_target(tmp_path, standin, monkeypatch, impatient, lie, said):
+def test_a_lying_target(tmp_path, standin, monkeypatch, impatient, lie, reason):
     scripts = tmp_path / "lying"
     scripts.mkdir()
     for path in Path(str(SCRIPTS)).glob("*"):
@@ -236,7 +236,7 @@ def test_a_lying_target(tmp_path, standin, monkeypatch, impatient, lie, said):
     monkeypatch.setattr(deploy, "ON_TARGET", scripts)
     status, records = observe(tmp_path, "kind: local\n", standin)
     check_kept(records, tmp_path / "results")
-    assert (status, records["001"]["status"]) == (3, "incomplete") and said in records["001"]["reason"]
+    assert (status, records["001"]["status"]) == (3, "incomplete") and reason in records["001"]["reason"]
     monkeypatch.undo()
     observe(tmp_path, "kind: local\n", standin, results=tmp_path / "again")
 
@@ -287,8 +287,8 @@ def test_a_disk_that_others_fill_meanwhile(tmp_path, standin, monkeypatch, capsy
         capsys.readouterr()
         status, again = observe(tmp_path, "kind: local\n", standin, results=disk)
         assert (status, again) == (3, records) and not [*disk.glob(".*")]
-        said = capsys.readouterr()
-        assert f"{disk}: cannot keep the results: No space left on device" in said.err and "0 s" not in said.out
+        printed = capsys.readouterr()
+        assert f"{disk}: cannot keep the results: No space left on device" in printed.err and "0 s" not in printed.out
     finally:
         subprocess.run(["umount", "-l", disk], check=True)
 
@@ -325,8 +325,8 @@ def ended_once(monkeypatch, error):
     observe_all, ends = session.observe, [error]
 
     def observed(*args, **more):
-        for number, each in enumerate(stream := observe_all(*args, **more)):
-            yield each
+        for number, item in enumerate(stream := observe_all(*args, **more)):
+            yield item
             if number == 4 and ends:
                 stream.close()
                 raise ends.pop()
@@ -392,8 +392,8 @@ def test_two_observers_of_one_folder(tmp_path, standin):
     argv = ["observe", "--target", str(target), "--for", "4s", "--results", str(results)]
     code = TWO.format(path=sys.path, argv=argv)
     started = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    said = [process.communicate(timeout=120)[0] for process in started]
-    assert [process.returncode for process in started] == [0, 0, 0], said
+    outputs = [process.communicate(timeout=120)[0] for process in started]
+    assert [process.returncode for process in started] == [0, 0, 0], outputs
     names = sorted(path.name for path in results.iterdir())
     assert [name for name in names if name.isdecimal()] == ["001", "002", "003"], names
     assert not [name for name in names if ".old-" in name or name.startswith(".")], names
@@ -436,4 +436,4 @@ def test_programs_of_a_container_are_observed_from_the_host(tmp_path, standin):
         (program,) = records[name]["programs"]
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         assert [str(program["pid"])] == children
-    assert not [each for each in records if "thread" in each or "process" in each]
+    assert not [name for name in records if "thread" in name or "process" in name]

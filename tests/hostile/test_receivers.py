@@ -91,7 +91,7 @@ def mail(port):
     return MailReceiver.model_validate(data)
 
 
-CASES = [*[(hook, name, pieces) for name, pieces in HTTP.items()], *[(mail, *each) for each in SMTP.items()]]
+CASES = [*[(hook, name, pieces) for name, pieces in HTTP.items()], *[(mail, *case) for case in SMTP.items()]]
 
 
 @pytest.mark.parametrize(("receiver", "name", "pieces"), CASES, ids=[name for _, name, _ in CASES])
@@ -148,7 +148,7 @@ def test_a_command_that_does_not_end_is_ended_with_what_it_started(tmp_path, mon
 
 
 @pytest.mark.parametrize(
-    ("script", "said"),
+    ("script", "reason"),
     [
         (
             "yes no >&2 & sleep 0.1; kill $!; wait $!; echo '\033[2Jthe last line' >&2; exit 5",
@@ -159,10 +159,10 @@ def test_a_command_that_does_not_end_is_ended_with_what_it_started(tmp_path, mon
         ("exit 1", "sh ended with 1"),
     ],
 )
-def test_a_command_that_fails_says_why_in_one_line(script, said):
+def test_a_command_that_fails_says_why_in_one_line(script, reason):
     with pytest.raises(InfrastructureError) as refused:
         tell(command("sh", "-c", script), [ALARM], None)
-    assert said in str(refused.value) and str(refused.value).isprintable() and len(str(refused.value)) < 400
+    assert reason in str(refused.value) and str(refused.value).isprintable() and len(str(refused.value)) < 400
 
 
 def test_all_others_are_told_whatever_stands_before_them(capsys, tmp_path, monkeypatch):
@@ -175,15 +175,15 @@ def test_all_others_are_told_whatever_stands_before_them(capsys, tmp_path, monke
         listed = []
         for name in ("is no HTTP", "is 10 000 header lines", "continues without end", "refuses"):
             port = stack.enter_context(serving(name, HTTP.get(name) or SMTP[name]))
-            one = hook(port) if name in HTTP else mail(port)
-            listed.append({**one.model_dump(by_alias=True), "name": name})
+            receiver = hook(port) if name in HTTP else mail(port)
+            listed.append({**receiver.model_dump(by_alias=True), "name": name})
         listed.append({"name": "no program", "kind": "command", "command": ["/nowhere/at all"]})
         listed.append({"name": "last", "kind": "command", "command": ["sh", "-c", f"cat >>{tmp_path}/heard"]})
         (tmp_path / "lab.yml").write_text(yaml.safe_dump({"schema": 1, "receivers": listed}))
         for _ in range(2):
             assert main(["notify", str(tmp_path / "lab.yml"), str(tmp_path / "archive")]) == 3
-            said = capsys.readouterr().err
-            assert all(f"{one['name']}: not told: " in said for one in listed[:-1]) and "last: not" not in said
+            err = capsys.readouterr().err
+            assert all(f"{receiver['name']}: not told: " in err for receiver in listed[:-1]) and "last: not" not in err
     assert (tmp_path / "heard").read_text().count("WORSE") == 1
 
 
@@ -211,17 +211,17 @@ HOSTS = [
 def test_a_host_that_is_none_is_refused_when_the_file_is_read(capsys, tmp_path, kind, host):
     """Whatever is asked for is refused before anybody is told."""
     place = host if ":" in host.rpartition("]")[2] or kind == "coordinator" else f"{host}:1"
-    one = {
+    receiver = {
         "hook": {"kind": "hook", "url": f"http://{place}/"},
         "mail": {"kind": "mail", "server": place, "from": "a@b.org", "to": ["a@b.org"]},
     }.get(kind, {"kind": "command", "command": ["false"]})
-    config = {"schema": 1, "receivers": [{"name": "x", **one}]}
+    config = {"schema": 1, "receivers": [{"name": "x", **receiver}]}
     config |= {"site": {"site": f"https://{place}/x"}, "coordinator": {"coordinator": place}}.get(kind, {})
     (tmp_path / "lab.yml").write_text(yaml.safe_dump(config))
     assert main(["notify", str(tmp_path / "lab.yml"), "archive"]) == 2
-    said = capsys.readouterr().err
+    err = capsys.readouterr().err
     key = {"hook": "url", "mail": "server"}.get(kind, kind)
-    assert f"{key}: " in said and "Traceback" not in said and "no archive" not in said
+    assert f"{key}: " in err and "Traceback" not in err and "no archive" not in err
 
 
 @pytest.mark.parametrize(
@@ -234,7 +234,7 @@ def test_a_host_that_is_one(place):
 
 
 def test_a_nul_in_a_command_is_refused_when_the_file_is_read(capsys, tmp_path):
-    one = {"name": "x", "kind": "command", "command": ["echo", "a\0b"]}
-    (tmp_path / "lab.yml").write_text(yaml.safe_dump({"schema": 1, "receivers": [one]}))
+    receiver = {"name": "x", "kind": "command", "command": ["echo", "a\0b"]}
+    (tmp_path / "lab.yml").write_text(yaml.safe_dump({"schema": 1, "receivers": [receiver]}))
     assert main(["notify", str(tmp_path / "lab.yml"), "archive"]) == 2
     assert "command.1: " in capsys.readouterr().err

@@ -46,8 +46,8 @@ def watch(tmp_path, pids_of_the_kernel):
             check=False,
         )
         refused = [line for line in done.stdout.splitlines() if line.startswith("refused ")]
-        told = [line for line in (tracing / "uprobe_events").read_text().splitlines() if line.startswith("p:")]
-        return refused, told
+        placed = [line for line in (tracing / "uprobe_events").read_text().splitlines() if line.startswith("p:")]
+        return refused, placed
 
     return call
 
@@ -78,8 +78,8 @@ def test_a_probe_is_placed_in_no_other_file(watch, tmp_path, shell, swap):
         library.write_bytes(b"another one of his")
     elif swap == "pipe":
         subprocess.run(["mkfifo", library], check=True)
-    refused, told = watch(shell, *lines)
-    assert [line.partition(":")[2].split("/", 1)[1].split()[:2] for line in told] == [
+    refused, events = watch(shell, *lines)
+    assert [line.partition(":")[2].split("/", 1)[1].split()[:2] for line in events] == [
         ["publish_0_1", "/proc/self/fd/5:0x10"],
         ["take_0_1", "/proc/self/fd/5:0x10"],
     ]

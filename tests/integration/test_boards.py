@@ -72,7 +72,7 @@ def test_suites_measure_on_a_kernel_whose_mainline_has_preempt_rt(tmp_path: Path
         assert rtgen.cli.main(["kconfig", "verify", "--machine", "qemu-armv7", "--config", configuration]) == 0
 
 
-@pytest.mark.parametrize("machine", [name for name, each in machines().items() if each.qemu is not None])
+@pytest.mark.parametrize("machine", [name for name, machine in machines().items() if machine.qemu is not None])
 def test_suites_measure_on_both_kernels_of_the_machine(machine: str, tmp_path: Path, monkeypatch, capsys) -> None:
     """The board starts with PREEMPT_RT: it is restarted into each kernel."""
     monkeypatch.chdir(tmp_path)

@@ -178,13 +178,13 @@ def launch(bench: Bench, package: str, name: str, *words: str) -> str:
         text=True,
     )
     try:
-        said, _ = process.communicate(timeout=60)
+        printed, _ = process.communicate(timeout=60)
     finally:
         if process.poll() is None:
             process.terminate()
             process.communicate()
-    assert process.returncode == 0, said
-    return said
+    assert process.returncode == 0, printed
+    return printed
 
 
 @pytest.fixture

@@ -104,23 +104,23 @@ def test_a_target_without_tools(
     tools: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(local, "PATH", path_without(tmp_path / "bin", *tools))
-    said = refused([str(builder.sources()), "--target", target_file(tmp_path)], capsys)
+    refusal = refused([str(builder.sources()), "--target", target_file(tmp_path)], capsys)
     lacks = " ".join(tool for tool in tools if tool not in ("g++", "gcc", "ninja"))
-    assert f"the target lacks {lacks}: install build-essential and cmake" in said
+    assert f"the target lacks {lacks}: install build-essential and cmake" in refusal
 
 
 def test_a_target_without_ros(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "none").mkdir()
     (tmp_path / "sshd").mkdir()
     with serve(tmp_path / "sshd", seeing({"/usr/share/roscpp": tmp_path / "none"})) as server:
-        said = refused([str(builder.sources()), "--target", target_file(tmp_path, server)], capsys)
-    assert "no ROS on the target: neither /opt/ros/*/setup.sh nor roscpp in /usr is there" in said
+        refusal = refused([str(builder.sources()), "--target", target_file(tmp_path, server)], capsys)
+    assert "no ROS on the target: neither /opt/ros/*/setup.sh nor roscpp in /usr is there" in refusal
 
 
 @pytest.mark.root
 def test_a_target_whose_disk_is_full(tmp_path: Path, small_disk: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = refused([str(builder.sources()), "--target", target_file(tmp_path)], capsys)
-    assert f"the target's disk is full (df -h {small_disk}/building" in said
+    refusal = refused([str(builder.sources()), "--target", target_file(tmp_path)], capsys)
+    assert f"the target's disk is full (df -h {small_disk}/building" in refusal
     assert [path.name for path in (small_disk / "building").iterdir()] == ["lock"]
 
 
@@ -151,8 +151,8 @@ def test_sources_that_do_not_compile(
     (tmp_path / "work/.rt-tests").touch()
     (tmp_path / "work/built/built_with").write_text("compiler before\n")
     plant(tmp_path / "sources")
-    said = refused([str(tmp_path / "sources"), "--target", target_file(tmp_path)], capsys)
-    assert "the suites could not be built" in said and expected.replace("‘", "").replace("’", "") in said.replace(
+    refusal = refused([str(tmp_path / "sources"), "--target", target_file(tmp_path)], capsys)
+    assert "the suites could not be built" in refusal and expected.replace("‘", "").replace("’", "") in refusal.replace(
         "'", ""
     )
     assert (tmp_path / "work/built/built_with").read_text() == "compiler before\n"
@@ -164,12 +164,12 @@ def test_what_cannot_be_asked_for(
     words = [str(builder.sources()), "--target"]
     (tmp_path / "suites").mkdir()
     (tmp_path / "suites/build.json").write_text("{}")
-    said = refused([*words, target_file(tmp_path, suites="suites")], capsys, status=2)
-    assert "names" in said and "leave that out" in said
+    refusal = refused([*words, target_file(tmp_path, suites="suites")], capsys, status=2)
+    assert "names" in refusal and "leave that out" in refusal
     assert "has no build.sh" in refused([str(tmp_path), "--target", target_file(tmp_path)], capsys, status=2)
     for setup, wrong in {"/nowhere/setup.sh": "no such file", "/dev/null": "sets up no ROS"}.items():
-        said = refused([*words, target_file(tmp_path, ros_setup=setup)], capsys)
-        assert f"{setup}: {wrong}" in said or f"{setup} {wrong}" in said, said
+        refusal = refused([*words, target_file(tmp_path, ros_setup=setup)], capsys)
+        assert f"{setup}: {wrong}" in refusal or f"{setup} {wrong}" in refusal, refusal
     assert rtgen(["suites", "build", "--on", "target.yml", "--machine", "host"]) == 2
     (tmp_path / "lib").mkdir()
     (tmp_path / "lib/librcl.so").touch()

@@ -46,8 +46,8 @@ def test_defaults(bench: Bench) -> None:
     # Each message was sent when its stamp says.
     achieved_hz = pytest.approx(499e9 / (rows[:, 0].max() - rows[:, 0].min()), rel=1e-6)
     assert (sent["rate"]["asked_hz"], sent["rate"]["achieved_hz"]) == (1000, achieved_hz)
-    for one, changed in ((record, {}), (sent, {"start_delay_s": 1})):
-        assert one["requested"] == defaults_of(one["program"]) | {"repetitions": 500} | changed
+    for written, changed in ((record, {}), (sent, {"start_delay_s": 1})):
+        assert written["requested"] == defaults_of(written["program"]) | {"repetitions": 500} | changed
 
 
 @pytest.mark.root

@@ -41,7 +41,7 @@ def test_a_campaign_on_this_machine(suites, tmp_path, monkeypatch, capsys):
     # The campaign goes on with the others, in the same folder.
     assert main([*asked, "--collect-only", "--json"]) == 0
     collected = json.loads(capsys.readouterr().out)["runs"]
-    assert [each["run"] for each in collected if each["is_finished"]] == [chosen] and len(collected) == 3
+    assert [run["run"] for run in collected if run["is_finished"]] == [chosen] and len(collected) == 3
     assert main(asked) == 0
     assert "1 of 3 runs are finished" in capsys.readouterr().err
     records = [json.loads(path.read_text()) for path in (tmp_path / "results/here").glob("*/run.json")]
@@ -90,7 +90,7 @@ def test_allocations_are_counted_apart_from_times(suites, tmp_path, monkeypatch,
     )
     assert main(["run", "campaign.yml", "--target", "target.yml"]) == 0, capsys.readouterr()
     results = tmp_path / "results/allocating"
-    made = {True: {}, False: {}}
+    costs_by_program = {True: {}, False: {}}
     for path in results.glob("*/run.json"):
         record = json.loads(path.read_text())
         is_counted = record["parameters"].get("allocations") == "counted"
@@ -98,9 +98,9 @@ def test_allocations_are_counted_apart_from_times(suites, tmp_path, monkeypatch,
             costs = program["costs"]
             assert is_counted == (costs.get("allocations") is not None) == ("frees" in costs)
             name = (record["parameters"].get("middleware", "roscpp"), program["name"])
-            made[is_counted][name] = [costs.get(key) for key in ("allocations", "frees", ALLOCATED_BY_LOOP)]
-    assert len(made[True]) == 7 and len(made[False]) == 6
-    for (middleware, name), (allocations, frees, by_loop) in made[True].items():
+            costs_by_program[is_counted][name] = [costs.get(key) for key in ("allocations", "frees", ALLOCATED_BY_LOOP)]
+    assert len(costs_by_program[True]) == 7 and len(costs_by_program[False]) == 6
+    for (middleware, name), (allocations, frees, by_loop) in costs_by_program[True].items():
         if middleware == "futex":
             assert (allocations, frees, by_loop) == (0, 0, 0), name
         else:  # each message, and each call of a timer, has some; not all are the loop's own
@@ -108,8 +108,10 @@ def test_allocations_are_counted_apart_from_times(suites, tmp_path, monkeypatch,
     capsys.readouterr()
     # Their times are in no answer.
     assert main(["verdict", str(results), "--deadline", "1s", "--probability", "0.5"]) in (0, 1)
-    said = capsys.readouterr().out
-    assert "cyclic_timer" not in said and "allocations" not in said and said.count("middleware=futex") >= 1, said
+    printed = capsys.readouterr().out
+    assert "cyclic_timer" not in printed and "allocations" not in printed and printed.count("middleware=futex") >= 1, (
+        printed
+    )
     assert main(["report", str(results), "--output", "report.html"]) == 0
     assert "4 of 7 programs allocated memory while measuring" in (tmp_path / "report.html").read_text()
     for most, failing in ((0, 4), (10**6, 0)):

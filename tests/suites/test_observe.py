@@ -136,5 +136,5 @@ def test_of_20_000_messages_a_second_what_was_seen_adds_up(here, standin, tmp_pa
         topics, rate, printed = _seen(here, tmp_path / "results", 5, capsys)
     assert topics == {"/many": 1}
     # Where the machine is too busy for so many messages, there are fewer events.
-    said = ("of the probes: more events than the limit", "lost by the kernel")
-    assert any(each in printed for each in said) or rate < LIMIT_PER_S
+    reasons = ("of the probes: more events than the limit", "lost by the kernel")
+    assert any(reason in printed for reason in reasons) or rate < LIMIT_PER_S

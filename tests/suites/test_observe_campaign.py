@@ -127,13 +127,15 @@ def test_a_pair_under_a_load_is_killed_and_gone_on_with(folder, suites, ros_mast
         assert (folder / "results/001-observation-cpu80/run.json").stat().st_mtime_ns == first
         assert marked(folder) == {} and other.poll() is None
     seen = records(folder)
-    assert {name for name, each in seen.items() if each["status"] != "ok"} == set()
+    assert {name for name, record in seen.items() if record["status"] != "ok"} == set()
     for name in ("001-observation-cpu80", "002-observation-cpu80-r2"):
-        streams = [each for each in seen.values() if each.get("observed_by") == name]
-        (messages,) = (each for each in streams if each["suite"] == "observed_messages" and "deadline_ns" in each)
+        streams = [record for record in seen.values() if record.get("observed_by") == name]
+        (messages,) = (
+            stream for stream in streams if stream["suite"] == "observed_messages" and "deadline_ns" in stream
+        )
         assert messages["condition"] == "cpu80" and messages["in_effect"]["loads"]["stress"] > 1
         assert messages["parameters"]["topic"] == "/own" and messages["deadline_ns"] == 10**9
-        assert all(each["threads"] for each in messages["programs"])
+        assert all(program["threads"] for program in messages["programs"])
         assert (folder / "results" / name / "graph.json").is_file()
     assert main(["verdict", str(folder / "results"), "--probability", "0.1"]) == 0
     assert main(words) == 0, "nothing is left to do"
@@ -162,7 +164,7 @@ def await_state(folder, run, state, runner):
     ],
 )
 def test_what_runs_already_is_observed_until_it_is_decided(folder, standin, deadlines, status, answers, rounds, capsys):
-    words = [word for each in deadlines for word in ("--deadline", each)]
+    words = [word for deadline in deadlines for word in ("--deadline", deadline)]
     here, results = str(folder / "here.yml"), str(folder / "results")
     goal = ["--until", "probability=0.2,at_most=10min", "--for", "2s", "--results", results]
     with running(standin, 200, 999999) as process:
@@ -178,4 +180,4 @@ def test_what_runs_already_is_observed_until_it_is_decided(folder, standin, dead
     assert number == rounds if status else number >= rounds
     main(["verdict", results, "--json"])
     groups = json.loads(capsys.readouterr().out)["groups"]
-    assert {each["answer"] for each in groups} - {"no deadline"} == answers
+    assert {group["answer"] for group in groups} - {"no deadline"} == answers

@@ -34,19 +34,22 @@ def test_of_ros_1(here, suites, ros_master, tmp_path):
     options = ["-r", 60_000, "-f", 100, "--out-dir", tmp_path, "/communication_tests:=/listed"]
     subscriber = [folder / "communication_tests_subscriber", *options, "--idle-timeout", 60]
     publisher = [folder / "communication_tests_publisher", *options, "-d", 1]
-    with running(*subscriber, env=environment) as one, running(*publisher, env=environment) as other:
-        found = find(here, one.pid, other.pid)
+    with running(*subscriber, env=environment) as subscribing, running(*publisher, env=environment) as publishing:
+        found = find(here, subscribing.pid, publishing.pid)
         deadline = time.monotonic() + 60
         while set(map(bool, (graph := read_graph(here, SCRIPTS, found)).topics.get("/listed", ()))) != {True}:
             assert time.monotonic() < deadline, graph
             time.sleep(0.2)
         # Of a node that was killed the master still knows.
-        other.kill()
-        other.wait()
+        publishing.kill()
+        publishing.wait()
         later = read_graph(here, SCRIPTS, found)
     publishers, subscribers = graph.topics["/listed"]
     pids = {node.name: node.pid for node in graph.nodes}
-    assert ([pids[name] for name in publishers], [pids[name] for name in subscribers]) == ([other.pid], [one.pid])
+    assert ([pids[name] for name in publishers], [pids[name] for name in subscribers]) == (
+        [publishing.pid],
+        [subscribing.pid],
+    )
     assert "/rosout" not in graph.topics and not [name for node in graph.nodes for name in node.serves]
     assert [node.pid for node in later.nodes if node.name in publishers] == [None]
 
@@ -69,7 +72,9 @@ def test_of_ros_2(here, tmp_path, capsys):
 def test_a_master_that_does_not_answer_is_said(here, suites, tmp_path):
     environment = os.environ | {"ROS_MASTER_URI": "http://127.0.0.1:1", "ROS_LOG_DIR": str(tmp_path)}
     program = suites / "lib" / "communication_tests" / "communication_tests_subscriber"
-    with running(program, "-r", 10, "-f", 10, "--out-dir", tmp_path, env=environment, stderr=subprocess.DEVNULL) as one:
-        graph = read_graph(here, SCRIPTS, find(here, one.pid))
+    with running(
+        program, "-r", 10, "-f", 10, "--out-dir", tmp_path, env=environment, stderr=subprocess.DEVNULL
+    ) as subscribing:
+        graph = read_graph(here, SCRIPTS, find(here, subscribing.pid))
     assert graph.nodes == ()
     assert graph.remarks[0].startswith("the ROS master http://127.0.0.1:1 does not answer on the target")

@@ -66,7 +66,7 @@ def test_the_process_that_a_late_message_waited_for_is_named(pair, tmp_path, cap
     assert main(["why", str(folder), "--json"]) == 0
     outliers = json.loads(capsys.readouterr().out)["outliers"]
     # Of messages that waited behind one another there is one. The time has microseconds.
-    spans = sorted((each["at_ns"] - each["value_ns"], each["at_ns"]) for each in outliers)
+    spans = sorted((outlier["at_ns"] - outlier["value_ns"], outlier["at_ns"]) for outlier in outliers)
     assert all(end_ns < begin_ns + 1000 for (_, end_ns), (begin_ns, _) in pairwise(spans)), spans
     assert main(["why", str(folder)]) == 0
     first = capsys.readouterr().out.partition("\n")[0]

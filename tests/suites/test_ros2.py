@@ -153,9 +153,9 @@ def test_messages_in_real_time(bench: Bench) -> None:
     assert (sent["complete"], sent["counts"]) == (True, {"asked": 300, "sent": 300})
     achieved_hz = pytest.approx(299e9 / (rows[-1, 0] - rows[0, 0]), rel=1e-6)
     assert (sent["rate"]["asked_hz"], sent["rate"]["achieved_hz"]) == (500, achieved_hz)
-    for one in (record, sent):
-        assert policies(one) == {("FIFO", 95)} and one["in_effect"]["facts"]["rmw"] != ""
-        assert quality(one) == ("reliable", "1000")
+    for written in (record, sent):
+        assert policies(written) == {("FIFO", 95)} and written["in_effect"]["facts"]["rmw"] != ""
+        assert quality(written) == ("reliable", "1000")
 
 
 def test_several_subscribers_and_two_that_are_none(bench: Bench) -> None:
@@ -168,7 +168,7 @@ def test_several_subscribers_and_two_that_are_none(bench: Bench) -> None:
     }
     best_effort = ("--reliability", "best_effort", "--depth", "200")
     receivers, sender = communicate(bench, "-r", "200", *best_effort, subscribers=3)
-    assert [one.status for one in (*receivers, sender)] == [0] * 4, sender.err
+    assert [program.status for program in (*receivers, sender)] == [0] * 4, sender.err
     for number in range(3):
         record = check_outputs(bench.folder, f"{number}ct_gnuplot_l200_fq1000_pl0", bench.middleware)
         assert (record["requested"]["reliability"], record["requested"]["depth"]) == ("best_effort", 200)

@@ -88,7 +88,7 @@ def test_memory_comes_before_priority_in_a_graph(bench: Bench, preloaded: Path) 
     assert kib["VmLck"] > 0 and kib["stack"] >= STACK_KIB, kib
     # Two tables of activations, of five and six columns, one of receptions, of four, and what a node touches.
     assert kib["VmRSS"] > ROWS * 8 * (5 + 6 + 4) // 1024 + 10_000_000 // 1024 + STACK_KIB + HEAP_KIB, kib
-    threads = {each["name"]: each for each in record_of(bench.folder)["in_effect"]["threads"]}
+    threads = {thread["name"]: thread for thread in record_of(bench.folder)["in_effect"]["threads"]}
     assert (threads["quick"]["policy"], threads["quick"]["priority"]) == ("FIFO", 20)
     assert threads["slow"]["policy"] == "OTHER"
 

@@ -302,7 +302,7 @@ EVENT = re.compile(r"^ +.*-\d+ +\[\d+\] .* (\d+\.\d{6}): (\w+): ", re.M)
 
 # Whose values the limit of a trace is held against, and the options that say so.
 TRACED = pytest.mark.parametrize(
-    ("program", "of", "options"),
+    ("program", "series", "options"),
     [
         ("oneshot_timer_tests", "measured", ()),
         ("cyclic_timer_tests", "lateness", ()),
@@ -314,7 +314,7 @@ TRACED = pytest.mark.parametrize(
 
 @pytest.mark.trace
 @TRACED
-def test_break_trace_keeps_the_kernel_trace(bench: Bench, program: str, of: str, options: tuple[str, ...]) -> None:
+def test_break_trace_keeps_the_kernel_trace(bench: Bench, program: str, series: str, options: tuple[str, ...]) -> None:
     ended = bench.run(program, "-r", "5000", "--break-trace", "1", *options, before=traced())
     assert ended.status == 0
     base = f"{program}_l5000_" + ("tm1000" if program == "oneshot_timer_tests" else "fq1000")
@@ -323,7 +323,7 @@ def test_break_trace_keeps_the_kernel_trace(bench: Bench, program: str, of: str,
         r"ended by --break-trace: (\d+) ns at index (\d+)", record["incomplete_reason"]
     ).groups()  # type: ignore[union-attr]
     assert int(index) == record["counts"]["measured"] - 1
-    assert int(value_ns) == record["summary"][of]["max_ns"] > 1000
+    assert int(value_ns) == record["summary"][series]["max_ns"] > 1000
     assert record["traces"] == {"above_limit": 1, "files": [f"{base}-trace-{index}.txt"]}
     text = (bench.folder / f"{base}-trace-{index}.txt").read_text()
     above = f"{program}: {value_ns} ns at index {index} above 1000 ns"
@@ -333,7 +333,7 @@ def test_break_trace_keeps_the_kernel_trace(bench: Bench, program: str, of: str,
 
 @pytest.mark.trace
 @TRACED
-def test_threshold_keeps_traces_and_goes_on(bench: Bench, program: str, of: str, options: tuple[str, ...]) -> None:
+def test_threshold_keeps_traces_and_goes_on(bench: Bench, program: str, series: str, options: tuple[str, ...]) -> None:
     """Each trace holds what the kernel did when its value came, on the clock of the samples."""
     # On a busy machine the thread that copies comes late: a larger buffer still holds the value then.
     larger = traced("echo 4096 >/sys/kernel/tracing/instances/rtrun/buffer_size_kb")
@@ -344,7 +344,7 @@ def test_threshold_keeps_traces_and_goes_on(bench: Bench, program: str, of: str,
     record = check_outputs(bench.folder, base)
     assert record["complete"] is True
     rows = np.load(bench.folder / f"{base}.npy")
-    values = np.array(series_of(record, rows)[of][0])
+    values = np.array(series_of(record, rows)[series][0])
     ends = rows[:, 1] if program == "oneshot_timer_tests" else rows[1:, 0]
     above = [int(index) for index in np.flatnonzero(values > 1000)]
     assert record["traces"] == {

@@ -112,20 +112,20 @@ def check(folder, middleware):
         if record.topology.topic[hop.topic].reliability == "reliable":
             assert not figures.lost, (middleware, figures)
         assert of_hop.duplicates == 0
-    (over,) = (each for each in record.nodes if each.node == "over")
+    (over,) = (node for node in record.nodes if node.node == "over")
     assert over.overruns >= 2, "of 15 periods of 100 ms it is done with one in 130 ms"
-    (lossy,) = (each for each in record.hops if each.subscriber == "slow")
+    (lossy,) = (hop for hop in record.hops if hop.subscriber == "slow")
     assert lossy.lost, "a node that takes twice its time loses nothing of a queue of two"
-    (join,) = (each for each in record.hops if (each.subscriber, each.topic) == ("fuse", "/imu"))
+    (join,) = (hop for hop in record.hops if (hop.subscriber, hop.topic) == ("fuse", "/imu"))
     assert join.overwritten >= join.taken
     suites = {path: json.loads((path / "run.json").read_text()) for path in streams}
-    assert all(each["parameters"]["middleware"] == middleware for each in suites.values())
-    assert sum(each["suite"] == "observed_messages" for each in suites.values()) == len(record.hops)
+    assert all(run["parameters"]["middleware"] == middleware for run in suites.values())
+    assert sum(run["suite"] == "observed_messages" for run in suites.values()) == len(record.hops)
     for number, path in enumerate(record.paths):
         of_path = {
-            each["suite"]: np.load(folder / f"{folder.name}.npy")
-            for folder, each in suites.items()
-            if each["parameters"].get("path") == ",".join(path.topics)
+            run["suite"]: np.load(folder / f"{folder.name}.npy")
+            for folder, run in suites.items()
+            if run["parameters"].get("path") == ",".join(path.topics)
         }
         reaction, age = (
             of_path[f"observed_{name}"][:, 1] - of_path[f"observed_{name}"][:, 0] for name in ("paths", "ages")
@@ -142,7 +142,7 @@ def check(folder, middleware):
 def test_through_roscpp_and_cyclone(suites, place, capsys):
     assert main(write(place, suites, "roscpp", "cyclonedds")) == 0, capsys.readouterr()
     found, overruns = records(place), []
-    assert {each["status"] for each in found.values()} == {"ok"}
+    assert {record["status"] for record in found.values()} == {"ok"}
     for name, middleware in (("001-topology-braking", "roscpp"), ("002-topology-braking-cyclonedds", "cyclonedds")):
         overruns.append(check(place / "results/braking" / name, middleware))
         threads = {
@@ -152,22 +152,27 @@ def test_through_roscpp_and_cyclone(suites, place, capsys):
         }
         assert threads["lidar"][:2] == ("FIFO", 20) and threads["brain"][:2] == ("FIFO", 30)
         assert threads["slow"][:2] == ("OTHER", 0) and threads["detect"] == ("FIFO", 30, [0])
-    deadlines = Counter(each["suite"] for each in found.values() if each.get("deadline_ns") == 900_000_000)
+    deadlines = Counter(record["suite"] for record in found.values() if record.get("deadline_ns") == 900_000_000)
     assert deadlines == {"observed_ages": 4, "observed_paths": 2, "observed_responses": 2}
     question = ["results/braking", "--probability", "0.5", "--confidence", "0.9"]
     assert main(["gate", *question, "--platform", "virtual"]) in (0, 1)
-    said = capsys.readouterr().out
-    assert said.count("/points,/objects,/state,/cmd") >= 4 and "response of /control" in said
+    printed = capsys.readouterr().out
+    assert printed.count("/points,/objects,/state,/cmd") >= 4 and "response of /control" in printed
     # What was due and never done is a miss, however long the deadline is.
     assert main(["verdict", "results/braking", "--json", *question[1:]]) == 0
     groups = json.loads(capsys.readouterr().out)["groups"]
-    verdicts = [each["verdict"] for each in groups if each["group"].startswith("response of /over")]
-    assert [each["absent"] for each in verdicts] == overruns and [each["n"] for each in verdicts] == [15, 15]
+    verdicts = [group["verdict"] for group in groups if group["group"].startswith("response of /over")]
+    assert [verdict["absent"] for verdict in verdicts] == overruns and [verdict["n"] for verdict in verdicts] == [
+        15,
+        15,
+    ]
     assert main(["report", "results/braking", "--probability", "0.5", "--output", "report.html"]) == 0
     # A process that says less than all of its periods is not believed.
     damaged = Path(shutil.copytree("results/braking/001-topology-braking", "damaged"))
-    told = damaged / "process-slow.json"
-    told.write_text(re.sub(r'"skipped": *([0-9]+)', lambda each: f'"skipped": {int(each[1]) + 1}', told.read_text()))
+    process_record = damaged / "process-slow.json"
+    process_record.write_text(
+        re.sub(r'"skipped": *([0-9]+)', lambda match: f'"skipped": {int(match[1]) + 1}', process_record.read_text())
+    )
     with pytest.raises(UsageError, match=r"over\.npy: \d+ activations and \d+ skipped are not the 20 points"):
         read_tables(damaged, read_topology_record(damaged).topology)
 
@@ -183,7 +188,7 @@ def test_through_rcl(on_ros2, place, capsys):
     prefix, suites = on_ros2
     words = write(place, suites, "rcl", target=f"ros_setup: {prefix}/setup.sh")
     assert main(words) == 0, capsys.readouterr()
-    assert {each["status"] for each in records(place).values()} == {"ok"}
+    assert {record["status"] for record in records(place).values()} == {"ok"}
     check(place / "results/braking/001-topology-braking-rcl", "rcl")
 
 
@@ -199,8 +204,8 @@ def test_a_node_that_dies_ends_the_run_with_its_name(suites, place):
         started = hosts(place)
         assert len(started) == 5
         os.kill(started["process-detect"], signal.SIGKILL)
-        said, _ = runner.communicate(timeout=90)
-    assert runner.returncode == 3, said
+        printed, _ = runner.communicate(timeout=90)
+    assert runner.returncode == 3, printed
     (record,) = records(place).values()
     assert record["status"] == "failed"
     assert record["reason"].startswith("process-detect ended while process-lidar was running"), record["reason"]
@@ -226,8 +231,8 @@ def test_the_launch_file_hosts_the_graph_beside_it(bench):
     for process in topology.processes:
         text = process_text(TopologyPlan(topology=topology, for_s=5, paths=()), process)
         assert (bench.suites / f"share/topology_tests/launch/{process}.topology").read_text() == text
-    said = launch(bench, "topology_tests", "topology_tests", f"folder:={bench.folder}")
-    assert said.count("process has finished cleanly") == 2, said
+    printed = launch(bench, "topology_tests", "topology_tests", f"folder:={bench.folder}")
+    assert printed.count("process has finished cleanly") == 2, printed
     tables = read_tables(bench.folder, topology)
     assert all(fates(tables, hop).taken > 10 for hop in tables.hops)
     (path,) = topology.all_paths()
@@ -248,8 +253,8 @@ def test_a_program_that_ros_ends_is_not_whole(bench):
     ended = end(programs[0])
     programs[1].kill()
     (record,) = (bench.folder / "first").glob("process-*.json")
-    told = json.loads(record.read_text())
-    assert (ended.status, told["complete"], told["incomplete_reason"]) == (1, False, "ended by ROS"), ended
+    written = json.loads(record.read_text())
+    assert (ended.status, written["complete"], written["incomplete_reason"]) == (1, False, "ended by ROS"), ended
 
 
 def hosts(place):
@@ -273,12 +278,12 @@ def test_influence_is_measured_in_turn_and_told_of_each_path(suites, place, caps
     words += ["--kinds", "busy", "--nodes", "2", "--cpu", "1", "--for", "1s", "--repeats", "3", "--json"]
     assert main(words) == 0
     first = json.loads(capsys.readouterr().out)
-    measured = {name: each for name, each in records(place).items() if each["suite"] == "topology"}
-    assert Counter(each["parameters"]["other_nodes"] for each in measured.values()) == {"": 3, "2 busy on 1": 3}
+    measured = {name: record for name, record in records(place).items() if record["suite"] == "topology"}
+    assert Counter(record["parameters"]["other_nodes"] for record in measured.values()) == {"": 3, "2 busy on 1": 3}
     # Of the other nodes nothing is kept, and nothing is measured again.
     assert not any("other1" in name for name in records(place))
     assert main(words) == 0
-    assert {name: each for name, each in records(place).items() if each["suite"] == "topology"} == measured
+    assert {name: record for name, record in records(place).items() if record["suite"] == "topology"} == measured
     assert json.loads(capsys.readouterr().out) == first
     rows = first["influence"]["rows"]
     assert [row["beside it"] for row in rows] == ["nothing", "2 busy on 1"] * 2
@@ -312,8 +317,8 @@ def test_a_path_agrees_with_what_is_observed_of_it_and_both_tell_why_it_was_late
         time.sleep(1)
         observing = ["--path", "/scan,/objects", "--trace", "above=8ms", "--results", "observed"]
         assert main(["observe", "--target", "target.yml", "--for", "5s", *observing]) == 0, capsys.readouterr()
-        said, _ = runner.communicate(timeout=120)
-    assert runner.returncode == 0, said
+        printed, _ = runner.communicate(timeout=120)
+    assert runner.returncode == 0, printed
     run = place / "results/braking/001-topology-chain-rcl"
     tables = read_tables(run, read_topology_record(run).topology)
     scan, objects = tables.hops

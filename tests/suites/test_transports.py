@@ -25,7 +25,7 @@ from .conftest import Bench, Ended, check_outputs, end, is_measuring, wait_until
 TRANSPORTS = sorted(builder.transports())
 ONE_PUBLISHER = sorted(set(TRANSPORTS) - {"cyclonedds", "fastdds"})  # the others know no address of their own
 WAIT_S = 50  # for all that a publisher does; it waits for its subscribers a minute
-each = pytest.mark.parametrize("transport", TRANSPORTS)
+on_each_transport = pytest.mark.parametrize("transport", TRANSPORTS)
 
 
 @pytest.fixture
@@ -97,7 +97,7 @@ def check_counts(bench: Bench, output: str, transport: str, subscribers: int = 1
 
 
 @pytest.mark.root
-@each
+@on_each_transport
 def test_two_subscribers_in_real_time(bench: Bench, transport: str) -> None:
     """Every thread, those of the transport too, has the policy and the priority that were asked for."""
     arguments = ("-r", "200", "-f", "500", "-l", "1000", "-s", "FIFO")
@@ -126,7 +126,7 @@ def test_a_transport_whose_threads_are_left_alone_says_so(bench: Bench) -> None:
         assert list(policies.values()) == [("RR", 40)]
 
 
-@each
+@on_each_transport
 @pytest.mark.parametrize("payload", [0, 1024 * 1024])
 def test_payloads(bench: Bench, transport: str, payload: int) -> None:
     payload = min(payload, 65483) if transport == "udp" else payload
@@ -135,7 +135,7 @@ def test_payloads(bench: Bench, transport: str, payload: int) -> None:
     check_counts(bench, f"ct_gnuplot_l30_fq20_pl{payload}", transport)
 
 
-@each
+@on_each_transport
 def test_twenty_subscribers(bench: Bench, transport: str) -> None:
     receivers, sender = communicate(bench, transport, "-r", "20", "-f", "20", "-l", "100", subscribers=20)
     assert sender.status == 0
@@ -149,7 +149,7 @@ def test_zeromq_over_tcp(bench: Bench) -> None:
     check_counts(bench, "ct_gnuplot_l50_fq100_pl100000", "zeromq")
 
 
-@each
+@on_each_transport
 def test_publisher_killed(bench: Bench, transport: str) -> None:
     arguments = ("-r", "100000", "-f", "200")
     receiver = bench.start(f"communication_tests_subscriber_{transport}", *arguments, "--idle-timeout", "3")
@@ -165,7 +165,7 @@ def test_publisher_killed(bench: Bench, transport: str) -> None:
     assert record["counts"]["measured"] + record["counts"]["missing"] == int(last) + 1 < 100000
 
 
-@each
+@on_each_transport
 def test_subscriber_killed(bench: Bench, transport: str) -> None:
     """The publisher goes on, and who is still there misses nothing on that account."""
     arguments = ("-r", "1500", "-f", "200")
@@ -319,7 +319,7 @@ def test_shared_memory_of_another_user_is_not_used(bench: Bench, domain: int, ro
             memory.unlink(missing_ok=True)
 
 
-@each
+@on_each_transport
 def test_help(bench: Bench, transport: str) -> None:
     """The options are those of the suite, and one more of the publisher."""
     for role in ("publisher", "subscriber"):

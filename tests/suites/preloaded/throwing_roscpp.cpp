@@ -14,9 +14,9 @@
 static void throw_at_fifth(const char* what, const void* caller) {
   static std::atomic<int> calls{0};
   static const std::string wanted = std::getenv("THROWS");
-  Dl_info of{};
-  dladdr(caller, &of);
-  if (!of.dli_fname || std::strstr(of.dli_fname, "/libroscpp.")) return;
+  Dl_info library{};
+  dladdr(caller, &library);
+  if (!library.dli_fname || std::strstr(library.dli_fname, "/libroscpp.")) return;
   if (wanted == what && ++calls == 5) throw std::runtime_error("planted");
 }
 
