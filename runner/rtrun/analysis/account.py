@@ -1,4 +1,4 @@
-"""The account of the evidence for one deadline: what is known of runs of one kind, and what is known to be missing.
+"""The evidence for one deadline: what is known about runs of one kind, and what is known to be missing.
 
 `deadline.judge` answers from the account alone. `rtrun.evidence` makes it from a folder of runs.
 """
@@ -19,9 +19,9 @@ class Account:
     """Runs of one set of parameters, how they were measured, and what was attempted beside them.
 
     `side_by_side` outputs measure the same event, as the subscribers of one message do. Their values count as one, and
-    `period_ns` is the period of one stream divided by their number.
-    `lost` has a sentence for each attempt that gave nothing to judge. `unseen_share` is the part of the time of an
-    observation that was not seen, `hidden_share` the part that was not seen because of load.
+    `period_ns` is the period of one stream divided by their number. `lost` has a sentence for each attempt that gave
+    nothing to judge. `unseen_share` is the share of an observation's time that was not seen, `hidden_share` the share
+    that was not seen because of load.
     """
 
     runs: Sequence[Trials]
@@ -60,7 +60,7 @@ class Account:
 
     @property
     def boots_known(self) -> int:
-        """How many boots are known. The others do not count, or count as one where no boot is known."""
+        """How many boots are known. Runs of unknown boots do not count; if no boot is known, they count as one boot."""
         return len({run.boot for run in self.runs if run.boot}) or 1
 
     @property
@@ -70,7 +70,7 @@ class Account:
 
     @property
     def unit(self) -> Literal["boot", "run"]:
-        """What attempts count as: boots where there are several, else runs."""
+        """The unit in which attempts are counted: boots if there are several, else runs."""
         return "boot" if self.boots is not None and self.boots > 1 else "run"
 
     @property

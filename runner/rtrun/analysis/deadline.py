@@ -45,11 +45,9 @@ class Answer(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Unlike:
-    """Units of another kind may exist, though none was among those `measured`: at most this `share` of all units.
-
-    The share holds at the confidence asked for. `short` of those measured were too short beside the others to tell of
-    which kind they are, so they count as of another one. For hours, the share is the part of the day in which nothing
-    was measured.
+    """Units of another kind may exist, though none was among those `measured`: at most this `share` of all units. The
+    share holds at the requested confidence. `short` of the measured units are too short to show of which kind they are,
+    so they count as another kind. For hours, the share is the part of the day in which nothing was measured.
     """
 
     unit: Literal["run", "boot", "board", "hour"]
@@ -63,23 +61,22 @@ class Verdict:
     """The answer to one deadline.
 
     ``lower`` and ``upper`` bound P(miss) at the confidence asked for, however often somebody looks
-    (`anytime_interval`). ``boots`` counts the boots that were measured, None where one is not known. ``boots_known``
-    counts the known ones: the others do not count, or count as one where no boot is known. ``boards`` counts the boards
-    that were measured. ``longest_burst`` is the mean length of unseen bursts of misses up to which PROVEN would hold.
-    It has to cover ``bursts``, which are ``bursts_by_default`` long unless the question asks otherwise;
-    ``further_for_bursts`` gives (length, measurements without a miss that would cover it). ``episodes`` of misses are
-    None where no order was kept.
+    (`anytime_interval`). ``boots`` counts the boots that were measured, None if one is not known. ``boots_known``
+    counts the known ones, or is 1 if none is known. ``boards`` counts the boards that were measured. ``longest_burst``
+    is the mean length of unseen bursts of misses up to which PROVEN would hold. It has to cover ``bursts``, which are
+    ``bursts_by_default`` long unless the question asks otherwise; ``further_for_bursts`` gives (length, measurements
+    without a miss that would cover it). ``episodes`` of misses are None where no order was kept.
 
     ``further`` measurements without another miss would give PROVEN (0: it is given, None: no number would);
-    ``further_chance`` is the chance that no miss comes. ``further_likely`` gives (answer, measurements): so many
-    suffice nine times in ten if misses go on at the rate seen. None where no number does.
+    ``further_chance`` is the chance that no miss comes. ``further_likely`` is (answer, measurements): this many suffice
+    nine times in ten if misses continue at the rate seen; None if no number does.
 
-    ``runs`` counts the runs that are judged. ``lost`` has a sentence for each attempt that gave nothing to judge; to
-    outweigh these, ``units_missing`` more units (``unit``: boots, or runs of one boot) have to end well, None where no
-    number is enough. ``unseen_share`` is the part of the time of an observation that was not seen, ``hidden_share`` the
-    part not seen because of load, which counts as late; ``lower`` and ``upper`` include both. ``unlike`` says what may
-    differ from everything that was measured, ``climbs`` which climb from boot to boot and from run to run would have
-    been seen. None of these numbers includes ``startup``.
+    ``runs`` counts the runs that are judged. ``lost`` has a sentence for each attempt that gave nothing to judge. To
+    outweigh these, ``units_missing`` more units (``unit``: boots, or runs of one boot) have to end well; None if no
+    number is enough. ``unseen_share`` is the share of an observation's time that was not seen, ``hidden_share`` the
+    share not seen because of load, which counts as late; ``lower`` and ``upper`` include both. ``unlike`` is what may
+    differ from everything that was measured, ``climbs`` are the climbs from boot to boot and from run to run that would
+    have been seen. No number here includes ``startup``.
     """
 
     answer: Answer
@@ -130,8 +127,8 @@ class Verdict:
 
     @property
     def decided_after(self) -> tuple[Answer, int] | None:
-        """The answer to expect, and after how many more measurements: without a miss if none was seen, else nine times
-        in ten at the rate seen. None where no number is likely to decide it.
+        """The answer to expect, and after how many more measurements. If no miss was seen, these are without a miss;
+        otherwise they suffice nine times in ten at the rate seen. None if no number is likely to decide it.
         """
         if self.misses or self.further is None:
             return self.further_likely
@@ -151,13 +148,12 @@ def judge(account: Account, question: Question) -> Verdict:
     """Answer a question from an account of the evidence.
 
     PROVEN: the interval's upper end is below the question's probability, and no run shows a change. IF_INDEPENDENT: the
-    same, from counts that kept no order. REFUTED: the lower end is above it; after a change, that of the later half is,
-    too. Otherwise, and with fewer boots than asked for: NEEDS MORE, with how many.
-    A lost attempt counts as a unit (a boot, or a run of one boot) that was late throughout. So does the time of an
-    observation that load hid, because what was seen is the lucky part. For a refutation, time that was not seen holds
-    no miss.
-    Numbers from an emulated board, or for a deadline below two clock steps, are no real-time statement.
-    Raises ValueError when probability or confidence is not between 0 and 1.
+    same, from counts that kept no order. REFUTED: the lower end is above it; after a change, so is that of the later
+    half. Otherwise, and with fewer boots than requested: NEEDS MORE, with how many. A lost attempt counts as a unit (a
+    boot, or a run of one boot) that was late throughout. So does the time that load hid from an observation, because
+    the time that was seen is the lucky part. For a refutation, time that was not seen holds no miss. Numbers from an
+    emulated board, or for a deadline below two clock steps, are no real-time statement. Raises ValueError when
+    probability or confidence is not between 0 and 1.
     """
     probability, confidence = question.probability, question.confidence
     if not 0 < probability < 1 or not 0 < confidence < 1:
@@ -175,7 +171,7 @@ def judge(account: Account, question: Question) -> Verdict:
     upper = anytime_upper(misses / effect, n / effect, of_measured)
     surely = misses
     if unclear := sum(run.unclear for run in runs):
-        # What may have met the deadline counts as late for a proof, and as in time for a refutation.
+        # A value that may have met the deadline counts as late for a proof, and as in time for a refutation.
         surely = sum(each.misses - each.share * run.unclear for run, each in zip(runs, alike, strict=True))
         assumes = (
             *assumes,
@@ -188,11 +184,11 @@ def judge(account: Account, question: Question) -> Verdict:
     longest_seen = episodes.most_in_a_row if episodes else 1
     bursts = bursts_asked(question, account.stream_ns, longest_seen)
     per_event = account.measurements_per_event
-    # Streams that are late together share a burst: each has a part of it.
+    # Streams that are late together share a burst: each holds a part of it.
     asked = replace(
         question,
         bursts=bursts.length * per_event if bursts.length > 1 else 1,
-        # Further measurements are expected on at least the boots that were asked for.
+        # Further measurements are expected on at least the requested number of boots.
         confidence=of_few(confidence, max(boots, question.boots)),
     )
     lower, upper = lower * (1 - account.unseen_share), min(1.0, upper + late_share)
@@ -257,7 +253,8 @@ def judge(account: Account, question: Question) -> Verdict:
 
 
 def _later_refutes(alike: Sequence[CountedRun], effect: float, probability: float, confidence: float) -> bool:
-    """Whether the later half of the measurements refutes alone: a system that got better is no longer what it was."""
+    """Whether the later half of the measurements refutes on its own: a system that got better is no longer what it
+    was."""
     half = sum(each.n for each in alike) / 2
     middles = np.cumsum([each.n for each in alike]) - [each.n / 2 for each in alike]
     later = [each for each, middle in zip(alike, middles, strict=True) if middle >= half]
@@ -266,7 +263,7 @@ def _later_refutes(alike: Sequence[CountedRun], effect: float, probability: floa
 
 
 def _unlike(account: Account, question: Question) -> tuple[Unlike, ...]:
-    """What may differ from everything that was measured: also runs, where there is one boot or boots are not known."""
+    """What may differ from everything that was measured; also runs, if there is one boot or boots are not known."""
     if not account.measured:
         return ()
     short = shorter(account.runs, [run.board for run in account.runs])
@@ -285,19 +282,19 @@ def _unlike(account: Account, question: Question) -> tuple[Unlike, ...]:
 
 
 def _shared(confidence: float, account: Account) -> float:
-    """The confidence of each of two bounds that hold together: for what was measured, and for lost units."""
+    """The confidence of each of two bounds that hold together: on the measurements, and on lost units."""
     return (1 + confidence) / 2 if account.lost else confidence
 
 
 def _late_share(question: Question, account: Account) -> float:
-    """The share of units that may be like the lost ones, or that load hid: they may all have been late throughout."""
+    """The share of units that may be like the lost ones, plus that which load hid: all of it may have been late."""
     lost = len(account.lost)
     of_units = anytime_upper(lost, account.units + lost, _shared(question.confidence, account)) if lost else 0.0
     return min(1.0, of_units + account.hidden_share)
 
 
 def _units_missing(question: Question, account: Account) -> int | None:
-    """How many more units have to end well to leave half of the probability to what was measured."""
+    """How many more units have to end well, so that half of the probability is left to the measurements."""
     lost = len(account.lost)
     most = question.probability / 2 - account.hidden_share
     if not lost:
@@ -310,9 +307,8 @@ def _units_missing(question: Question, account: Account) -> int | None:
 
 
 def _episodes(runs: Sequence[Trials], question: Question, account: Account, confidence: float) -> Episodes | None:
-    """The episodes of misses, which are judged like misses: with the dependence between them.
-
-    There is no bound where attempts were lost or load hid some time: these may hold any number of episodes.
+    """The episodes of misses. Like misses they are judged with the dependence between them. There is no bound if
+    attempts were lost or load hid some time: these may hold any number of episodes.
     """
     found = [run.episodes for run in runs if run.episodes is not None]
     if len(found) < len(runs) or not found:
@@ -339,7 +335,7 @@ def _episodes(runs: Sequence[Trials], question: Question, account: Account, conf
 
 
 def _refusal(question: Question, account: Account) -> str | None:
-    """Why numbers are no real-time statement, None where they are one."""
+    """Why numbers are no real-time statement; None if they are one."""
     if account.emulated:
         return "measured on an emulated board"
     step_ns = account.clock_step_ns
@@ -363,7 +359,7 @@ def _effect(
     question: Question,
     per_event: int,
 ) -> tuple[float, tuple[str, ...]]:
-    """The design effect, at most the number of measurements, and what had to be assumed for it."""
+    """The design effect (at most the number of measurements), and the assumptions that it needed."""
     of_runs, assumes = _effect_of_runs(runs, alike, question.confidence, per_event)
     of_clusters = _effect_of_clusters(clusters, question.confidence)
     effect = max(of_runs, of_clusters, _least_effect(question, per_event))
@@ -378,7 +374,8 @@ def _least_effect(question: Question, per_event: int) -> float:
 def _effect_of_runs(
     runs: Sequence[Trials], alike: Sequence[CountedRun], confidence: float, measurements_per_event: int
 ) -> tuple[float, tuple[str, ...]]:
-    """The design effect of all runs, and what had to be assumed: the largest of those within and between runs."""
+    """The design effect of all runs, the largest of those within and between runs, and the assumptions that it
+    needed."""
     between = _effect_between(runs, alike, confidence)
     located = [run.misses for run in runs if run.misses is not None]
     misses = sum(run.late + run.absent for run in runs)
@@ -399,8 +396,8 @@ def _effect_of_runs(
 
 
 def _effect_between(runs: Sequence[Trials], alike: Sequence[CountedRun], confidence: float) -> float:
-    """The larger design effect of boards and of boots; that of runs, where all are of one boot and differ beyond
-    chance. 0 where there is none.
+    """The larger design effect of boards and of boots; that of runs, if all are of one boot and differ beyond chance; 0
+    if there is none.
 
     Few boots tell little about how boots differ: the effect is widened by (t/z)^2 with boots - 1 degrees of freedom
     (Korn & Graubard 1998), but not beyond what it would be if each boot's misses were one burst, 1 + misses / boots.
@@ -434,7 +431,7 @@ def _few(degrees: float, confidence: float) -> float:
 
 
 def _widened(parts: Sequence[Events], confidence: float) -> float:
-    """The design effect, larger where it rests on few bursts: their number counts as degrees of freedom.
+    """The design effect, enlarged if it rests on few bursts: their number counts as degrees of freedom.
 
     It never exceeds what it would be if all events were one burst.
     """

@@ -101,7 +101,7 @@ def figures_of_samples(values_ns: Int64s, indices: NDArray[np.int64] | None = No
 
 
 def _thin_range(values: Int64s) -> tuple[int, int]:
-    """Where nearly all of the values lie, from a thin sample: a single value of an hour does not widen the range."""
+    """The range in which nearly all values lie, from a thin sample: one value of an hour does not widen it."""
     thin = np.sort(values[:: max(1, values.size // _THIN)])
     beyond = thin.size // 1000
     return int(thin[beyond]), int(thin[-1 - beyond])
@@ -109,7 +109,7 @@ def _thin_range(values: Int64s) -> tuple[int, int]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Binned:
-    """Values sorted into bins, and what else one pass over them gives.
+    """Values sorted into bins, and what else the same pass over them gives.
 
     Bins are equally wide; the first and the last also hold all beyond. Rounding may move an edge, but a higher value is
     never in a lower bin, which is all that order statistics need.
@@ -175,7 +175,7 @@ def _order_statistics(values: Int64s, binned: _Binned, listed: int) -> tuple[lis
 def _places_among(
     places: NDArray[np.uint16], piece: slice, below: int, above: int, between: list[int]
 ) -> NDArray[np.intp]:
-    """Where in a piece a place is at most `below`, at least `above` or one of those between.
+    """Which elements of a piece have a place that is at most `below`, at least `above`, or one of `between`.
 
     Comparing whole pieces a few times takes a third of the time of looking up each place in a table.
     """
@@ -193,8 +193,8 @@ def figures_of_histogram(
 ) -> Figures:
     """Figures of counts, shape of both arrays (bins,).
 
-    `top` and `lowest` are the same values as a log lists them with their indices, the most extreme first. A value
-    beyond the end of a list has no index.
+    `top` and `lowest` are the values that a log lists with their indices, the most extreme first. Values that it does
+    not list have no index.
     """
     if histogram.n == 0:
         return Figures(n=0, bin_ns=histogram.bin_ns)

@@ -35,7 +35,7 @@ class Histogram:
         return int(self.counts.sum()) + self.overflow
 
     def above(self, limit_ns: int) -> int:
-        """Measurements above a limit; those in the bin that holds the limit count as above, unless it ends the bin.
+        """Measurements above a limit. The bin that holds the limit counts as above, unless the limit ends the bin.
 
         A printed largest value is the lower edge of a bin, too.
         Raises ValueError when the limit lies in the overflow, where nothing is known.
@@ -47,7 +47,7 @@ class Histogram:
         return int(self.counts[are_late(self.values_ns, limit_ns, self.bin_ns)].sum()) + self.overflow
 
     def unclear(self, limit_ns: int) -> int:
-        """How many of the measurements above a limit may also lie at or below it, in the same bin."""
+        """How many of the measurements that `above` counts may lie at or below the limit, in the same bin."""
         holds_limit = are_late(self.values_ns, limit_ns, self.bin_ns) & ~are_late(self.values_ns, limit_ns)
         return int(self.counts[holds_limit].sum())
 
@@ -84,7 +84,7 @@ def check_range(low: int, high: int) -> None:
 def merge(parts: Iterable[Histogram]) -> Histogram:
     """The sum of histograms of one bin width, without a printed mean.
 
-    Where they overflow at different values, all values from the lowest of these on are counted as overflow. Raises
+    If they overflow at different values, all values from the lowest of these on are counted as overflow. Raises
     ValueError when widths differ.
     """
     all_parts = list(parts)

@@ -1,15 +1,13 @@
-"""How long periodic work can take at worst on one CPU with fixed priorities: the response-time analysis.
-
-The bound holds where its assumptions do: each task is released once a period, late by its jitter at most; it takes its
-cost of CPU time at most, and does not wait of its own accord; whatever has a lower priority gives the CPU up at once,
-after `blocking_ns` at most; nothing else runs on the CPU, the kernel and its interrupts included.
+"""How long periodic work can take at worst on one CPU with fixed priorities: the response-time analysis. The bound
+holds if these assumptions do. Each task is released once a period, at most its jitter late. It takes at most its cost
+of CPU time, and does not wait on its own. Tasks of lower priority give the CPU up after at most `blocking_ns`. Nothing
+else runs on the CPU, not even the kernel and its interrupts.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-# Steps of the search for a bound: the less CPU time is left, the more it takes. If these are too few, nearly none is
-# left.
+# Steps of the search for a bound. It takes more of them the less CPU time is left; if these are too few, hardly any is.
 STEPS_MAX = 300_000
 # Larger than the rounding error of a sum of some hundred shares.
 _ROUNDING = 1e-12
@@ -34,7 +32,7 @@ class PeriodicTask:
 def response_bound(task: PeriodicTask, others: Iterable[PeriodicTask]) -> int | None:
     """The longest time from when a task was due to its end, in ns, on a CPU that it shares with others.
 
-    None: there is no bound, because it and the tasks that come before it ask for all of the CPU, nearly all, or more.
+    None: there is no bound, because the task and those that come before it ask for nearly all of the CPU, or more.
 
     Joseph & Pandya 1986 ("Finding response times in a real-time system"): the least w with w = C + sum over the tasks
     that come before of ceil(w / T) C, where all are released at one instant. With jitter and blocking: Audsley et al.

@@ -7,7 +7,7 @@ from rtrun.analysis.deadline import Answer, Verdict
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Standing:
-    """A group of runs alike and its verdict so far; without one, `undecidable` says why none is possible.
+    """A group of similar runs and its verdict so far; if there can be none, `undecidable` says why.
 
     `has_deadline`: there is a question to answer. `measured_s` is the time that its runs took, in seconds.
     """
@@ -29,7 +29,7 @@ class Standing:
 
     @property
     def planned(self) -> tuple[str, ...]:
-        """The runs of the campaign that it rests on."""
+        """The runs that the campaign planned: those that observed the group's streams, or else its own."""
         return self.observed_by or self.runs
 
     @property
@@ -41,5 +41,5 @@ class Standing:
 
     @property
     def is_final(self) -> bool:
-        """Whether further measuring would not change the answer, or is not needed."""
+        """Whether no further measuring is needed, or none would change the answer."""
         return self.answer is not Answer.NEEDS_MORE or (self.verdict is not None and bool(self.verdict.lost))

@@ -16,7 +16,7 @@ from rtrun.plan.question import NONE_TOLERATED, Tolerance
 # With this many misses normal theory on blocks holds for their bursts; fewer are tested exactly.
 ENOUGH_MISSES = 20
 _LEVEL_EVENTS = 200
-# How many places of misses are kept per run: enough for every test of where they lie.
+# How many places of misses are kept per run: enough for every test of their places.
 _MOST_PLACES = 4096
 # So many of the highest values are tried first to find what decides windows.
 _HIGHEST = 4096
@@ -30,13 +30,12 @@ class Trials:
 
     ``late`` measurements exceeded the deadline; ``absent`` ones did not fire or went missing, so they did not meet it
     either. ``misses`` holds both by position; None where a log kept no order. ``missed_at`` are their loop positions,
-    int64 (k,); of many, only every ``stride``-th is kept. ``level`` says where the run exceeded a lower level, one that
-    it exceeds often enough (about 200 times) to show whether high values come in bursts. ``high_at`` and ``high_ns``
-    are the places and the heights of these values, int64 (h,); without an order there are no places. ``worst_ns`` is
-    the highest value seen. ``unclear`` of the late ones may have met the deadline: they lie in the same bin of a
-    histogram, or within a step of the clock below it. ``episodes`` join misses that are near one another; None where no
-    order was kept. ``run``, ``boot``, ``board`` and ``start_time`` say where the trials belong; "" where that is not
-    known.
+    int64 (k,); of many, only every ``stride``-th is kept. ``level`` has the events above a lower level, which the run
+    exceeds often enough (about 200 times) to show whether high values come in bursts. ``high_at`` and ``high_ns`` are
+    the places and the heights of these values, int64 (h,); without an order there are no places. ``worst_ns`` is the
+    highest value seen. ``unclear`` of the late ones may have met the deadline: they lie in the same bin of a histogram,
+    or within a step of the clock below it. ``episodes`` join misses that are near one another; None where no order was
+    kept. ``run``, ``boot``, ``board`` and ``start_time`` say where the trials belong; "" where that is not known.
     """
 
     n: int
@@ -58,16 +57,16 @@ class Trials:
 
 
 def high_values(loops: int) -> int:
-    """How many of so many values are high ones."""
+    """How many of so many values count as high."""
     return min(_LEVEL_EVENTS, loops // 20)
 
 
 def windowed(values_ns: Int64s, absent: Int64s, deadline_ns: int, tolerance: Tolerance) -> tuple[Int64s, Int64s]:
-    """The value that decides each window of as many loops as `tolerance` names, and the windows that have none.
+    """The value that decides each window of `tolerance.among` loops, and the windows that have none.
 
-    A window ends at each loop. It holds more misses than are tolerated where its (misses + 1)-th highest value is late.
-    That value, an order statistic (David & Nagaraja 2003), stands for the window, so all that holds for values holds
-    for windows. An absent value is above all others. Values are int64 (n,), `absent` (a,) loop positions as in
+    A window ends at each loop. It holds more misses than are tolerated if its (misses + 1)-th highest value is late.
+    That value, an order statistic (David & Nagaraja 2003), stands for the window, so methods for values apply to
+    windows. An absent value is above all others. Values are int64 (n,), `absent` (a,) loop positions as in
     `count_misses`. There are among - 1 fewer windows than loops, because incomplete windows are not judged.
 
     Only the highest windows get their exact value. The values of the others tell only whether the deadline is met.

@@ -1,8 +1,7 @@
-"""Chances and quantiles of the distributions that the analysis rests on.
-
-scipy.special has all of these, but it takes as much room as everything else needed to measure and judge, and longer to
-load than a small report. Here each chance is one integral, and all are computed in the same way to at least eleven
-digits. `tests/rtrun/analysis/test_distributions.py` compares them with scipy.
+"""Chances and quantiles of the distributions that the analysis rests on. scipy.special has all of these, but is as
+large as everything else needed to measure and judge, and takes longer to load than a small report. Here each chance is
+one integral, and all are computed in the same way to at least eleven digits.
+`tests/rtrun/analysis/test_distributions.py` compares them with scipy.
 """
 
 import functools
@@ -29,7 +28,7 @@ _TINY = 1e-300
 
 
 def normal_quantile(chance: float) -> float:
-    """The value that a standard normal variate is below with this chance, in (0, 1)."""
+    """The value below which a standard normal variate lies with this chance, in (0, 1)."""
     return _NORMAL.inv_cdf(chance)
 
 
@@ -89,7 +88,7 @@ def beta_above(value: float, a: float, b: float) -> float:
 
 @functools.lru_cache(maxsize=4096)
 def beta_quantile(chance: float, a: float, b: float) -> float:
-    """The value that a beta variate is below with this chance."""
+    """The value below which a beta variate lies with this chance."""
     return _beta_quantile((chance, 1 - chance), a, b)
 
 
@@ -112,7 +111,7 @@ def student_below(value: float, degrees: float) -> float:
 
 
 def student_quantile(chance: float, degrees: float) -> float:
-    """The value that Student's t with so many degrees of freedom (at least 1) is below with this chance."""
+    """The value below which Student's t with so many degrees of freedom (at least 1) lies with this chance."""
     if chance <= 0.5:
         return -student_quantile(1 - chance, degrees) if chance < 0.5 else 0.0
     start = math.log(_NORMAL.inv_cdf(chance))
@@ -187,7 +186,7 @@ def _stirling_rest(z: float) -> float:
 
 
 def _beta_quantile(chances: tuple[float, float], a: float, b: float) -> float:
-    """The value that a beta variate is below and above with these chances, found among log odds."""
+    """The value that has these chances of a beta variate below and above it, searched among log odds."""
 
     def at(log_odds: float) -> float:
         return _ratio(_beta(_of_log_odds(log_odds), _of_log_odds(-log_odds), a, b), chances)
@@ -205,5 +204,6 @@ def _of_log_odds(log_odds: float) -> float:
 
 
 def _ratio(found: tuple[float, float], asked: tuple[float, float]) -> float:
-    """How far chances below and above are from those asked for: a rising ratio, of the side that has more digits."""
+    """How far the chances below and above are from the requested ones: a rising ratio, from the side that has more
+    digits."""
     return found[0] / asked[0] if asked[0] < asked[1] else asked[1] / max(found[1], _TINY)

@@ -22,10 +22,12 @@ _BURSTS_TO_COME = 200
 
 
 def longest_burst(misses: float, n: float, effect: float, question: Question) -> float:
-    """The longest mean length of unseen bursts of misses with which n measurements still prove; 0: they do not.
+    """The longest mean length of unseen bursts of misses for which n measurements are still a proof; 0 if they are
+    none.
 
-    P(miss) has two parts: misses of the kind seen, whose upper end is `anytime_upper`, and bursts at the rate at which
-    n measurements show none with the chance 1 - confidence. Where misses were seen, each part gets half of that chance.
+    P(miss) has two parts: misses of the kind seen, whose upper end is `anytime_upper`, and unseen bursts, at the rate
+    at which n measurements contain none with the chance 1 - confidence. If misses were seen, each part gets half of
+    that chance.
     """
     if n <= 0 or not is_upper_below(misses / effect, n / effect, question.confidence, question.probability):
         return 0.0
@@ -42,7 +44,7 @@ def proves(misses: float, n: float, effect: float, question: Question) -> bool:
 
 
 def missing_without_miss(misses: float, n: int, effect: float, question: Question) -> int | None:
-    """How many more measurements without another miss prove it; None where no number does."""
+    """How many more measurements without another miss are a proof; None if no number is."""
     total = smallest(lambda total: proves(misses, total, effect, question), n)
     return None if total is None else total - n
 
@@ -58,7 +60,7 @@ def chance_of_no_miss(misses: float, n: int, effect: float, more: int) -> float:
 def plan_measurements(
     question: Question, *, rate: float = 0.0, period_ns: float | None = None
 ) -> tuple[bool, int] | None:
-    """Whether it is proven (True) or refuted, and how many independent measurements suffice nine times in ten.
+    """Plan for a proof (True) or a refutation, and how many independent measurements suffice nine times in ten.
 
     `rate` is the rate of misses; if it is 0, the result is the smallest number that proves. `period_ns` is the period
     of the stream; a proof covers a stall of it (`bursts_asked`). Where misses are tolerated, each end of a window is a
@@ -72,7 +74,7 @@ def plan_measurements(
         return None if total is None else (True, total)
 
     def decided(total: int) -> bool:
-        # The number of misses (Poisson) that is unfavourable: many for a proof, few for a refutation.
+        # The unfavourable number of misses (Poisson): many for a proof, few for a refutation.
         if rate < question.probability:
             misses = effect * poisson_quantile(LIKELY, rate * total / effect)
             return proves(misses, total, effect, question)
@@ -95,11 +97,11 @@ def plan_groups(
 
 
 def likely_further(misses: float, n: int, effect: float, question: Question) -> tuple[bool, int] | None:
-    """Whether it will be proven (True) or refuted, and how many more measurements suffice nine times in ten.
+    """Predict a proof (True) or a refutation, and how many more measurements suffice nine times in ten.
 
     Courses of future misses are simulated at rates drawn from what was seen (Jeffreys' prior for a Poisson rate, Gelman
-    et al. 2013, section 2.6). The question is examined all the time, and a course ends when it is decided. None where a
-    tenth of the courses or more is not decided soon.
+    et al. 2013, section 2.6). The question is examined after every measurement, and a course ends when it is decided.
+    None if at least a tenth of the courses is not decided soon.
     """
     if not n or not misses:
         return None
@@ -127,7 +129,7 @@ def likely_further(misses: float, n: int, effect: float, question: Question) -> 
 
 
 def _proven_from(counts: Sequence[float], effect: float, question: Question) -> Iterator[float]:
-    """For each number of bursts, the effective measurements from which on it is a proof (`longest_burst`)."""
+    """For each number of bursts, the effective measurements from which on they are a proof (`longest_burst`)."""
     bursts = bursts_asked(question).length
     several = bursts > 1
     alpha = (1 - question.confidence) / (2 if several else 1)
@@ -148,7 +150,7 @@ def _proven_from(counts: Sequence[float], effect: float, question: Question) -> 
 
 
 def _refuted_until(counts: Sequence[float], question: Question) -> Iterator[float]:
-    """For each number of bursts, the effective measurements up to which it refutes."""
+    """For each number of bursts, the effective measurements up to which they are a refutation."""
     at = 0.0
     for count in counts:
         whole = max(1, math.ceil(count - 1e-9))
@@ -165,7 +167,7 @@ def _refuted_until(counts: Sequence[float], question: Question) -> Iterator[floa
 
 
 def smallest(condition: Callable[[int], bool], start: int) -> int | None:
-    """The smallest total from `start` on for which a monotone condition holds; None above UNATTAINABLE."""
+    """The smallest number from `start` on for which a monotone condition holds; None above UNATTAINABLE."""
     if start and condition(start):
         return start
     low, high = start, max(1, start)

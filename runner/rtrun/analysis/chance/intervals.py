@@ -23,9 +23,9 @@ def anytime_interval(k: float, n: float, confidence: float) -> tuple[float, floa
 
     With alpha = 1 - confidence, the upper end is that of Clopper & Pearson at level alpha / ((k + 1)(k + 2)), the lower
     one at alpha / (k (k + 1)). Both sum to alpha over k. With k events, the upper end first falls below p at a fixed
-    n(k). This is wrong only if at most k events came in n(k) trials, which has the level of that k as its chance. So
-    the chance of ever being wrong is at most alpha (union bound), and alpha / 2 for one look at a fixed n. The same
-    holds for the lower end. Fractions of events (effective numbers) are rounded up to choose the level.
+    n(k). This is wrong only if n(k) trials had at most k events, and the chance of that is the level of k. So the
+    chance of ever being wrong is at most alpha (union bound), and alpha / 2 for one look at a fixed n. The same holds
+    for the lower end. Fractions of events (effective numbers) are rounded up to choose the level.
     """
     return anytime_lower(k, n, confidence), anytime_upper(k, n, confidence)
 
@@ -42,18 +42,18 @@ def anytime_upper(k: float, n: float, confidence: float) -> float:
 
 
 def of_few(confidence: float, boots: int) -> float:
-    """The confidence of the upper end from so few boots that nobody knows how much they differ.
+    """The stricter confidence of an upper end from boots that are too few to show how much boots differ.
 
-    Two to nine boots that happen to be alike hide that boots differ, and no interval shows it. Where P(miss) of boots
-    is lognormal (sd 1), the truth exceeds a 95 % bound without a miss in 12 % of all cases with two boots, and in 7 %
-    with five. Half of alpha makes that 5 %; two boots need a tenth of alpha. One boot says nothing about others, so its
-    interval is not widened.
+    Two to nine boots that are alike by chance hide that boots differ, and no interval shows it. If P(miss) of boots is
+    lognormal (sd 1), the truth exceeds a 95 % bound without a miss in 12 % of all cases with two boots, and in 7 % with
+    five. At half of alpha it does so in 5 %; two boots need a tenth of alpha. One boot says nothing about others, so
+    its interval is not widened.
     """
     return 1 - (1 - confidence) / (1 if boots < 2 or boots > FEW else 10 if boots == 2 else 2)
 
 
 def is_upper_below(k: float, n: float, confidence: float, p: float) -> bool:
-    """Whether `anytime_upper` is below p, without computing it, which takes ten times as long."""
+    """Whether `anytime_upper` is below p. Ten times as fast, because it does not compute the bound."""
     if not 0 < k < n:
         return anytime_upper(k, n, confidence) < p
     return beta_above(p, k + 1, n - k) < _upper_level(k, confidence)

@@ -1,4 +1,5 @@
-"""Searches: where a function of several numbers is lowest, where one of one number is zero, where a ratio is one."""
+"""Searches: the minimum of a function of several numbers, the zero of a function of one, the place where a ratio is
+one."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,7 +18,7 @@ def lowest_point(
     """
 
     def moved(corner: Sequence[float], factor: float, of: Sequence[float]) -> _Corner:
-        """The corner that lies `factor` times as far from `corner` as `of` does, on the same line."""
+        """The point on the line through both corners, `factor` times as far from `corner` as `of` is."""
         place = [at + factor * (value - at) for at, value in zip(corner, of, strict=True)]
         return cost(place), place
 

@@ -1,4 +1,4 @@
-"""Did it change? Two sets of runs, compared by resampling blocks, runs or boots, never single measurements."""
+"""Do two sets of runs differ? They are compared by resampling blocks, runs or boots, never single measurements."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -41,7 +41,7 @@ class ComparisonAnswer(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Shift:
-    """B minus A of one figure, with its interval; None where one set is too small for the figure."""
+    """B minus A of one figure, with its interval; None if one set is too small for the figure."""
 
     figure: str
     a_ns: float
@@ -68,12 +68,10 @@ class Shift:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Two sets, compared; there are no shifts where there are too little data.
-
-    ``distance`` is the largest difference of the distribution functions (0 to 1), ``p_value`` the chance of one as
-    large if both sets came from one process. ``units`` says what was resampled: 'runs', 'boots' where the sets have no
-    boot in common, or 'blocks' where there are too few runs or boots to know how much they differ. ``interleaved``: the
-    runs were measured in turn.
+    """Two sets, compared; without shifts if there are too few data. ``distance`` is the largest difference of the
+    distribution functions (0 to 1), ``p_value`` the chance of one as large if both sets came from one process.
+    ``units`` is what was resampled: 'runs', 'boots' if the sets have no boot in common, or 'blocks' if there are too
+    few runs or boots to know how much they differ. ``interleaved``: the runs were measured in turn.
     """
 
     answer: ComparisonAnswer
@@ -106,15 +104,14 @@ def compare(
     clock_step_ns: int = 1,
     tests: int = 1,
 ) -> Comparison:
-    """Compare two sets of runs of the same series; the margin of no concern is 5 % of A's figure unless given.
-
-    It is one of `tests` comparisons that `correct` takes together.
+    """Compare two sets of runs of the same series; the default margin is 5 % of A's figure. It is one of `tests`
+    comparisons that `correct` takes together.
 
     DIFFERENT needs five runs a side (five boots, where the sets have none in common), measured in turn.
 
-    Shifts: percentile intervals of the block bootstrap (Carlstein 1986). Distance: Kolmogorov-Smirnov statistic
-    under permutation of blocks or runs (Lahiri 2003, chapter 2). Quantiles are taken from counts in bins, values spread
-    evenly over a bin, or over a step of the clock where that is wider. Raises ValueError when a set is empty.
+    Shifts: percentile intervals of the block bootstrap (Carlstein 1986). Distance: Kolmogorov-Smirnov statistic under
+    permutation of blocks or runs (Lahiri 2003, chapter 2). Quantiles come from counts in bins, with values spread
+    evenly over a bin, or over a step of the clock if that is wider. Raises ValueError when a set is empty.
     """
     if not any(run.n for run in a) or not any(run.n for run in b):
         raise ValueError("one of the two sets has no measurement")
@@ -162,7 +159,8 @@ def compare(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Side:
-    """One of two sets: counts (u, m) of its units, those of sets drawn from it (ROUNDS, m), and those of all (1, m)."""
+    """One of two sets: counts of its units (u, m), of the sets drawn from it (ROUNDS, m), and of all together (1,
+    m)."""
 
     units: Int64s
     drawn: NDArray[np.float64]
@@ -248,7 +246,7 @@ def ratio_of_misses(a: Verdict, b: Verdict, confidence: float = 0.95) -> Ratio:
 
 
 def _few_units(units: int, confidence: float) -> float:
-    """How much too narrow percentile intervals from few units are: Student's t over the normal quantile."""
+    """By which factor percentile intervals from few units are too narrow: Student's t over the normal quantile."""
     if units < 2:
         return 1.0
     middle = (1 + confidence) / 2
@@ -256,7 +254,7 @@ def _few_units(units: int, confidence: float) -> float:
 
 
 def _resample(strata: Sequence[Int64s], rng: np.random.Generator) -> NDArray[np.float64]:
-    """Counts (ROUNDS, m) of sets drawn with replacement, each stratum (run) as often as it has units."""
+    """Counts (ROUNDS, m) of sets drawn with replacement, from each stratum (run) as many units as it has."""
     total = np.zeros((ROUNDS, strata[0].shape[1]))
     for rows in strata:
         weights = rng.multinomial(len(rows), np.full(len(rows), 1 / len(rows)), size=ROUNDS)
@@ -279,7 +277,8 @@ def _quantiles(counts: NDArray[np.generic], bins: _Bins, q: float) -> NDArray[np
 
 
 def _units(a: Sequence[Blocks], b: Sequence[Blocks]) -> tuple[list[str], list[str], str]:
-    """The unit of each run of both sets, and its name: the boot where the sets have none in common, else the run."""
+    """The unit of each run of both sets, and the unit's name: the boot if the sets have none in common, else the
+    run."""
     boots = {run.boot for run in a}, {run.boot for run in b}
     if "" in boots[0] | boots[1] or boots[0] & boots[1]:
         return [str(k) for k in range(len(a))], [str(k) for k in range(len(b))], "runs"

@@ -14,8 +14,8 @@ from rtrun.analysis.chance.welch import standard_error
 class Effect:
     """B minus A of one figure over runs, with its p-values against a claimed effect.
 
-    ``p_above`` is the chance of a shift as large if the true shift were the claimed one or less. ``p_below`` is the
-    chance of a shift as small if the true shift were the least that does not refute, or more.
+    ``p_above`` is the chance of a shift at least as large if the true shift is the claimed one or less. ``p_below`` is
+    the chance of a shift at most as large if the true shift is at least the smallest one that does not refute.
     """
 
     a_ns: float

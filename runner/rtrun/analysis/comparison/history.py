@@ -19,7 +19,7 @@ GATES_A_YEAR = 365
 # (docs/archive.md).
 LEAST_MARGIN = 2.0
 # A boot may be bad in a rare way that the history has not shown yet. So a build is worse only if its other boots are
-# worse, too. These get one test at a level of their own, as all boots together have already exceeded the limit for a
+# worse, too. They are tested at a level of their own, because all boots together have already exceeded the limit for a
 # year.
 LEVEL_OF_OTHERS = 0.1
 NOTICED = 0.9
@@ -32,9 +32,9 @@ _RATES_DIFFER = 0.6
 class Against:
     """A figure of a build against its history, in the unit of the figure.
 
-    `reference` is the mean of the best level that the history held, over `boots` boots; `value` is the build's mean. A
-    build that is worse than the reference by the margin, or less, exceeds `limit` with at most the chance of the test's
-    level. From the true figure `noticed` on, a build exceeds it nine times in ten. `others_too`: the boots without the
+    `reference` is the mean of the history's best level, over `boots` boots; `value` is the build's mean. A build that
+    is worse than the reference by at most the margin exceeds `limit` with at most the chance of the test's level. A
+    build whose true figure is at least `noticed` exceeds it nine times in ten. `others_too`: the boots without the
     worst one also exceed their limit, at LEVEL_OF_OTHERS; false for a single boot, where this is not known.
     """
 
@@ -63,9 +63,8 @@ def level_of_test(false_alarms: float, tests: int) -> float:
 
 
 def best_level(history: Floats) -> tuple[Floats, float]:
-    """The lowest level between the change points of a history (u,), among levels of at least LEAST_BOOTS boots.
-
-    So a build that made things worse does not become the reference of the next builds. The second value is the standard
+    """The lowest level between the change points of a history (u,), among levels of at least LEAST_BOOTS boots. Thus a
+    build that made things worse does not become the reference of the next builds. The second value is the standard
     deviation of boots within all levels, because the few boots of one level may lie close together by chance.
     """
     stretches = [history[stretch] for stretch in levels(history)]
@@ -80,13 +79,13 @@ def compare_figure(
 ) -> Against:
     """Compare boots of a build (k,) with those of its history (u,), LEAST_BOOTS at least: lower is better.
 
-    The margin of no concern, unless given, is a `share` of the reference, but at least `least`. In either case it is at
-    least LEAST_MARGIN spreads of a boot.
+    The default margin is a `share` of the reference, but at least `least`. Any margin is raised to LEAST_MARGIN spreads
+    of a boot.
 
-    The limit is that of a prediction for the mean of k boots (Student's t), with a tail as heavy as the kurtosis of the
-    reference shows: a t distribution with v degrees of freedom has the excess kurtosis 6 / (v - 4). The spread is the
-    largest of three: that of the reference, that of its values above the median (so that a long upper tail counts in
-    full), and that within all levels.
+    The limit predicts the mean of k boots by Student's t, with a tail as heavy as the kurtosis of the reference: a t
+    distribution with v degrees of freedom has the excess kurtosis 6 / (v - 4). The spread is the largest of three: that
+    of the reference, that of its values above the median (so that a long upper tail counts in full), and that within
+    all levels.
     """
     reference, within = best_level(history)
     mean = float(reference.mean())
@@ -108,7 +107,7 @@ def compare_figure(
 
 
 def _reach(old: int, new: int, spread: float, degrees: float, level: float) -> float:
-    """How far the mean of `new` boots may lie above that of `old` ones; it lies higher with the chance `level`."""
+    """How far the mean of `new` boots may lie above that of `old` ones: it exceeds this with the chance `level`."""
     return student_quantile(1 - level, degrees) * spread * math.sqrt(1 / new + 1 / old)
 
 
@@ -130,8 +129,8 @@ def compare_misses(history: Boots, build: Boots, *, level: float) -> Against:
     """Compare P(miss) of a build with its history, from (measurements, misses) of each boot; the figure is P(miss).
 
     The build is worse where both hold: its share exceeds the limit for the shares of boots (`compare_figure`), and the
-    chance of its misses is below the level. The second matters where the history has hardly any miss. For the chance of
-    the other boots, the worst boot counts as history, so that a burst like the one that it had may come a second time.
+    chance of its misses is below the level. The second matters if the history has hardly any miss. For the chance of
+    the other boots, the worst boot counts as history, so a second burst like its own is not a surprise.
     """
     against = compare_figure(_shares(history), _shares(build), margin=0.0, level=level)
     *others, worst = sorted(build, key=lambda boot: boot[1] / boot[0])
@@ -155,7 +154,7 @@ def _shares(boots: Boots) -> Floats:
 
 
 def _share_noticed(least: int, history: Boots, build: Boots) -> float:
-    """The share of misses at which such a build has `least` misses or more nine times in ten; 1 if none is known.
+    """The share of misses at which such a build has at least `least` misses nine times in ten; 1 if none is known.
 
     Numbers divided by the design effect are Poisson distributed. The rates of boots scatter in proportion to their
     mean, so the design effect minus 1 is proportional to the share.
@@ -175,7 +174,7 @@ def _share_noticed(least: int, history: Boots, build: Boots) -> float:
 
 
 def chance_of_misses(history: Boots, build: Boots) -> float:
-    """The chance that, given all misses together, so many or more fall on the build (Przyborowski & Wilenski 1940).
+    """The chance, given the sum of all misses, that at least so many are the build's (Przyborowski & Wilenski 1940).
 
     The numbers, (measurements, misses) of each boot, are divided by the design effect of boots (Rao & Scott 1992).
     """

@@ -54,9 +54,9 @@ def attribute(
 ) -> Attribution:
     """What `upper` adds to `lower`, from runs of each layer that were measured in turn.
 
-    A quantile is reported where each run has enough values to reach it, LATE where there is a deadline.
+    A quantile is reported if each run has enough values to reach it, LATE if there is a deadline.
 
-    The start time of a run is a covariate. Both layers are assumed to drift by the same slope, which is fitted and
+    The start time of a run is a covariate. Both layers are assumed to drift by the same slope. It is fitted and
     removed, so a steady drift (temperature, load) is not attributed to the layer, whatever the order of the runs. Runs
     that were not measured in turn are refused: any other drift would be attributed to the layer. Raises ValueError when
     a run has no measurement.

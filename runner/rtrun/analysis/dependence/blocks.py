@@ -1,4 +1,4 @@
-"""One run cut into blocks of consecutive measurements: the units that dependent data are resampled in."""
+"""One run cut into blocks of consecutive measurements: the units in which dependent data are resampled."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -81,7 +81,7 @@ def split_randomly(histogram: Histogram, blocks: int = BLOCKS) -> Blocks:
 
 
 def _columns(histogram: Histogram) -> Int64s:
-    """Lower edges of the columns: every filled bin, or one in several where there are too many."""
+    """Lower edges of the columns: every filled bin, or one in several if there are too many."""
     values = histogram.values_ns
     return values[:: -(-values.size // _COLUMNS)] if values.size else values
 

@@ -1,4 +1,4 @@
-"""How much n dependent measurements are worth: bursts, and the number of independent ones they equal."""
+"""How many independent measurements n dependent ones equal, because misses come in bursts."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -10,13 +10,13 @@ import numpy as np
 from rtrun.kinds.values import Int64s
 
 _LEAST_BLOCKS = 16
-_CHANCE = 2.58  # standard errors: once in two hundred times
+_CHANCE = 2.58  # standard errors: exceeded once in two hundred times
 _CHANCE_OF_GAPS = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class Events:
-    """Where events (misses, values above a level) lie in one or more runs, as sums over blocks of 2, 4, 8, ... loops.
+    """Events (misses, values above a level) of one or more runs, as sums over blocks of 2, 4, 8, ... loops.
 
     ``blocks[j]`` is (blocks, events in them, sum of squared events a block) for blocks of ``2 ** (j + 1)`` loops; an
     incomplete last block is left out. ``loops`` and ``count`` are measurements and events in all runs.
@@ -52,12 +52,12 @@ def pool(parts: Iterable[Events]) -> Events:
 
 
 def design_effect(*parts: Events) -> float:
-    """Variance of the number of events over that of independent ones (Kish 1965), at least 1.
+    """The variance of the number of events, divided by that of independent ones (Kish 1965); at least 1.
 
     The scatter of events is measured in each part against its own share; pool parts whose shares are the same. The
-    effect is the largest index of dispersion of block counts over all block lengths that leave 16 blocks, among those
-    that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed only once in two hundred times. For
-    independent bursts of size S it tends to E[S^2]/E[S].
+    index of dispersion of block counts is taken for each block length that leaves 16 blocks. The effect is the largest
+    of those that independent events (mean 1, standard error sqrt(2/m + 1/k)) would exceed only once in two hundred
+    times. For independent bursts of size S it tends to E[S^2]/E[S].
     """
     parts = tuple(part for part in parts if 0 < part.count < part.loops)
     n, k = sum(part.loops for part in parts), sum(part.count for part in parts)
@@ -84,10 +84,11 @@ def design_effect(*parts: Events) -> float:
 
 
 def cluster_effect(clusters: Sequence[tuple[float, float]]) -> float:
-    """Variance of the pooled share over that of independent trials, from (loops, events) of each cluster (boot, run).
+    """The variance of the pooled share, divided by that of independent trials, from (loops, events) of each cluster
+    (boot, run).
 
-    Ratio estimator over clusters (Cochran 1977, section 11.8), the design effect of Rao & Scott (1992); 0 where all
-    clusters have the same share. 1 where there are no events, fewer than two clusters, or nothing but events.
+    Ratio estimator over clusters (Cochran 1977, section 11.8), the design effect of Rao & Scott (1992). It is 0 if all
+    clusters have the same share; 1 if there are no events, fewer than two clusters, or nothing but events.
     """
     n, k = (sum(numbers) for numbers in zip(*clusters, strict=True)) if clusters else (0, 0)
     if len(clusters) < 2 or not 0 < k < n:
@@ -98,7 +99,8 @@ def cluster_effect(clusters: Sequence[tuple[float, float]]) -> float:
 
 
 def chance_of_gaps(n: int, k: int, gap: int, short: int) -> float:
-    """P(at least `short` of the k - 1 distances between k events are at most `gap`), k of n places taken at random.
+    """P(at least `short` of the k - 1 distances between k events are at most `gap`), for k of n places chosen at
+    random.
 
     Exact: i given distances are all longer in C(n - i gap, k) of C(n, k) cases, joined by inclusion and exclusion
     (Feller 1968, sections II.12 and IV.5).
@@ -112,10 +114,11 @@ def chance_of_gaps(n: int, k: int, gap: int, short: int) -> float:
 
 
 def effect_of_few(positions: Int64s, loops: int) -> float:
-    """Design effect of a few events, ascending positions (k,): sum of S^2 over sum of S of the bursts that they form.
+    """Design effect of a few events at ascending positions (k,): the sum of S^2 divided by that of S, the sizes of
+    their bursts.
 
-    Events belong to one burst when they are near enough. The limit is the longest distance, below half the mean
-    distance, at which so many short ones are beyond chance (`chance_of_gaps`, 5 % after Bonferroni). The effect is
+    Events belong to one burst if they are near enough. The limit is the longest distance, below half the mean distance,
+    for which the number of distances as short is beyond chance (`chance_of_gaps`, 5 % after Bonferroni). The effect is
     that of a compound Poisson process (Adelson 1966).
     """
     gaps = np.diff(positions)

@@ -1,6 +1,5 @@
 """Misses that lie near one another are one episode: how many there are, how long they last, and how often they come.
-
-How often they come is more than P(miss) tells: a bound on it needs no assumption about the length of episodes.
+P(miss) does not tell how often they come. A bound on that needs no assumption about their length.
 """
 
 import math
@@ -36,7 +35,7 @@ class FoundEpisodes:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Episodes:
-    """The episodes of all runs of a verdict: how many were ``seen``, the longest, and how often they come at most.
+    """The episodes of all runs of a verdict: how many were ``seen``, the longest, and the most that may come.
 
     ``most_in_a_row`` is the longest burst (`FoundEpisodes`). ``longest_ns`` is None where the period is not known.
     ``per_hour_at_most`` bounds the episodes in an hour of a stream at the confidence asked for, however often somebody

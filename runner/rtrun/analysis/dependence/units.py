@@ -1,4 +1,4 @@
-"""Boots count alike, and so do boards, however long each was measured: P(miss) is that of a boot like these.
+"""Boots count alike however long each was measured, and so do boards: P(miss) is that of a boot like these.
 
 Otherwise a boot that was measured a hundred times as long as the others would decide alone.
 """
@@ -32,7 +32,7 @@ def boots_of(runs: Sequence[Trials]) -> list[str]:
 
 
 def count_alike(runs: Sequence[Trials]) -> list[CountedRun]:
-    """What each run counts for: a boot that is longer than the median one counts for no more than that one.
+    """What each run counts for: a boot with more measurements than the median boot counts for as many as that one.
 
     The same holds for boards. Shorter ones count in full. Lengths say nothing about rates, so all weights that depend
     on lengths alone estimate the same mean.
@@ -47,9 +47,8 @@ def count_alike(runs: Sequence[Trials]) -> list[CountedRun]:
 
 
 def shorter(runs: Sequence[Trials], keys: Sequence[str]) -> int:
-    """How many units, given by the key of each run, are shorter than half of the middle one.
-
-    They hardly count beside the others, so if units of another kind end early, the misses of that kind do not, either.
+    """How many units, given by the key of each run, have fewer than half of the median unit's measurements. They hardly
+    count beside the others. So if units of another kind end early, the misses of that kind hardly count, either.
     """
     lengths = [n for n, _ in sums([CountedRun(n=run.n, misses=0) for run in runs], keys).values()]
     return sum(2 * n < median_low(lengths) for n in lengths)

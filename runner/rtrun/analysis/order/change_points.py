@@ -1,4 +1,4 @@
-"""When did the level of a figure change? Boots in the order of time, each with one value of the figure.
+"""When did the level of a figure change? Each boot has one value of the figure; boots are in the order of time.
 
 The values include the differences between boots, so a single boot that was a little slower is no change.
 """
@@ -84,7 +84,7 @@ def _ends_of_levels(values: Floats, confidence: float) -> list[int]:
 
 @functools.lru_cache(maxsize=1024)
 def _penalty(sorted_ranks: bytes, confidence: float) -> float:
-    """What the best change gains in random order. It depends on the ranks alone: without ties, on their number.
+    """What the best change gains in random order. It depends on the ranks alone; without ties, on their number alone.
 
     `sorted_ranks` are float64.
     """
@@ -102,7 +102,7 @@ def _normal_scores(ranked: Floats) -> Floats:
 
 
 def _gains(rows: Floats) -> Floats:
-    """By how much the sum of squares of each row (r, n) falls when it is split before each place, shape (r, s).
+    """How much the sum of squares of each row (r, n) falls if it is split before each place, shape (r, s).
 
     The places leave LEAST_UNITS on both sides. Rows need not have the mean 0.
     """
@@ -113,9 +113,9 @@ def _gains(rows: Floats) -> Floats:
 
 
 def _gains_of_stretches(rows: Floats) -> Floats:
-    """By how much the sum of squares of each row (r, n) falls at most when a stretch is its own level, shape (r,).
+    """How much the sum of squares of each row (r, n) falls if the best stretch gets its own level, shape (r,).
 
-    The lengths of stretches tried grow by a third each time: those between gain hardly more.
+    The lengths of stretches that are tried grow by a third each time: lengths between these gain hardly more.
     """
     n = rows.shape[1]
     sums = np.cumsum(np.pad(rows - rows.mean(axis=1, keepdims=True), ((0, 0), (1, 0))), axis=1)

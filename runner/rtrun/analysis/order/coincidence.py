@@ -20,9 +20,9 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Coincidence:
-    """A quantity, by its row, that was unusual in the late intervals: its median in them, and in the others.
+    """A quantity (its row) that was unusual in the late intervals: its median in these, and in the others.
 
-    `p_value` is the probability that any of all quantities coincides as well by chance.
+    `p_value` is the probability that any of all quantities coincides as strongly by chance.
     """
 
     row: int
@@ -34,12 +34,12 @@ class Coincidence:
 def find_coincidences(quantities: Floats, highest: Floats) -> tuple[Coincidence, ...]:
     """The quantities (m, n) that are higher or lower than usual in the intervals with the highest of `highest` (n,).
 
-    Each quantity is replaced by normal scores of its distances from the median of the neighbourhood, so that neither a
+    Each quantity is replaced by normal scores of its distances from the median of the neighbourhood, so neither a
     common drift nor its unit matters. The statistic is the sum of the scores over the late intervals, the highest
-    weighted most. Under the null hypothesis the late intervals may be shifted against the quantities in a circle, which
-    keeps the dependence of each series on its own past; all n shifts are tried. The largest statistic of all quantities
-    at each shift gives p-values that hold for all of them together (Westfall & Young 1993, Resampling-Based Multiple
-    Testing, section 2.3). Most significant first.
+    weighted most. If nothing coincides, the late intervals may as well be shifted against the quantities in a circle. A
+    shift keeps the dependence of each series on its own past; all n shifts are tried. The largest statistic of all
+    quantities at each shift gives p-values that hold for all of them together (Westfall & Young 1993, Resampling-Based
+    Multiple Testing, section 2.3). Most significant first.
     """
     rows, n = quantities.shape
     if n < LEAST_INTERVALS or rows == 0:

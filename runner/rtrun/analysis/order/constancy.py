@@ -32,13 +32,13 @@ from rtrun.analysis.order.trends import (
 from rtrun.analysis.trials import ENOUGH_MISSES, Trials, high_values
 from rtrun.kinds.values import Int64s
 
-# A level that was left and entered again so often is part of the process.
+# A level that was left and entered again this often is part of the process.
 RETURNS = 5
 
 
 def slowest_load(length: float) -> float:
-    """The longest time that a load may take to come and go so that joined runs of this length can judge it: they then
-    see it left and entered again five times, whatever part of it they begin in."""
+    """The longest period of a load that joined runs of this length can judge. Wherever in its period they begin, they
+    then see it left and entered again five times."""
     return length / (RETURNS + 1)
 
 
@@ -71,10 +71,10 @@ class Boot:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Constancy:
-    """The strongest sign that the process did not stay the same, None where there is none beyond chance.
+    """The strongest sign that the process did not stay the same; None if there is none beyond chance.
 
-    `in_time`: one of the signs is a change over time.
-    `clusters` are (loops, misses) of each turn of a load that comes and goes, where there is one.
+    `in_time`: one of the signs is a change over time. `clusters` are (loops, misses) of each turn of a load that comes
+    and goes, if there is one.
     """
 
     change: Change | None
@@ -123,7 +123,7 @@ def _ascending(places: Sequence[Int64s]) -> Int64s:
 
 
 def high_limit(trials: Sequence[Trials]) -> int:
-    """The height in ns from which on the high values of all these runs are known.
+    """The height in ns from which on all values of all these runs are known.
 
     Each run keeps only its own highest values, so this is the largest of their minima.
     """
@@ -133,9 +133,8 @@ def high_limit(trials: Sequence[Trials]) -> int:
 def examine_constancy(
     boots: Sequence[Boot], *, probability: float, confidence: float, deadline_ns: int | None = None
 ) -> Constancy:
-    """Look for changes within runs, from run to run and from boot to boot, and for a boot that misses too often alone.
-
-    Heights do not matter while twice the highest one is below the deadline: then only misses are examined.
+    """Search for changes within runs, from run to run and from boot to boot, and for a boot that misses too often
+    alone. While twice the highest value is below the deadline, heights do not matter and only misses are examined.
     """
     worst_ns = max((run.worst_ns for boot in boots for run in boot.trials if run.worst_ns is not None), default=0)
     of_heights = deadline_ns is None or 2 * worst_ns >= deadline_ns
@@ -170,7 +169,7 @@ def examine_constancy(
 
 
 def find_climbs(boots: Sequence[Boot], deadline_ns: int) -> tuple[Climb, ...]:
-    """How levels climb from boot to boot of each board, and from run to run of each boot, where there are several."""
+    """How levels climb from boot to boot of each board, and from run to run of each boot, if there are several."""
     if not all(run.boot for boot in boots for run in boot.trials):
         # Each run of an unknown boot is a boot of its own here, so the units are called runs.
         climb = find_climb("run", _by_board(boots), deadline_ns)
@@ -228,7 +227,7 @@ def _among_visits(places: Int64s, visits: Visits, loops: int, events: str, signi
 
 
 def _turns(boot: Boot, visits: Visits) -> list[tuple[int, int]]:
-    """(loops, misses) from each visit of a level to the next one."""
+    """(loops, misses) from the begin of each visit of a level to that of the next one."""
     ends = np.append(visits.starts[1:], boot.loops)
     stride = boot.misses / boot.missed_at.size if boot.missed_at is not None and boot.missed_at.size else 1.0
     counts = count_until(boot.missed_at, ends) if boot.missed_at is not None else 0 * ends
@@ -246,7 +245,7 @@ def _effect_alone(boot: Boot) -> float:
 
 
 def _alone(boots: Sequence[Boot], probability: float, confidence: float) -> list[Change]:
-    """Boots that miss more often than `probability` on their own: their average with others is no answer."""
+    """Boots that miss more often than `probability` on their own: an average over all boots would hide them."""
     if len(boots) < 2:
         return []
     changes = []

@@ -10,7 +10,8 @@ from rtrun.kinds.values import Int64s
 
 
 def burst_peaks(positions: Sequence[int], loops: int) -> Int64s:
-    """Ascending places of events, those nearer than 1/500 of the run to the one before left out (one a burst)."""
+    """Ascending places of events, one for each burst: events nearer than 1/500 of the run to the one before are left
+    out."""
     places = np.sort(np.asarray(positions, dtype=np.int64))
     return places[np.diff(places, prepend=-loops) > loops // 500]
 
@@ -28,7 +29,7 @@ def evenly_spread_p(places: NDArray[np.float64]) -> float:
 
 
 def find_period(runs: Sequence[tuple[Int64s, int]]) -> tuple[int, float]:
-    """The period that events of several runs, (places, loops) each, fit best, and the p-value that there is none.
+    """The period that best fits the events of several runs, (places, loops) each, and the p-value of having none.
 
     Rayleigh's test (Mardia & Jupp 2000, section 6.3.1) with an unknown phase in each run: the sum over runs of 2 k R^2
     is chi-squared with two degrees of freedom a run. Periods of 1, 2, 5, 10, ... and powers of two, from 10 loops to a

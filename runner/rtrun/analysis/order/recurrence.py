@@ -12,11 +12,11 @@ from rtrun.kinds.values import Int64s
 
 ALPHA = 0.002
 LEAST_LOOPS = 20  # that a period has
-# A period has at least so many cycles in a run. An eighth of the run has eight; the best fit may be a little lower.
+# A period has at least this many cycles in a run. An eighth of the run has eight; the best fit may have a little less.
 LEAST_CYCLES = 7.5
 LEAST_COVERED = 0.6  # of the cycles have an event
-# So many of the highest values are tried, then twice as many each time: one of the numbers is near that of the cycles.
-# The largest number keeps the search short.
+# First this many of the highest values are tried, then twice as many each time, so that one number is near that of the
+# cycles. The largest number keeps the search short.
 _LEAST_COUNT = 8
 _COUNT_MAX = 1 << 16
 # With n events, periods are tried that fit n / 4 to 2 n times into the run.
@@ -37,8 +37,8 @@ _NEAR = (0.15, 0.05, 0.02)  # of a period
 class Recurrence:
     """Events every `period`, in the unit of their positions; `covered` of `cycles` periods have one.
 
-    They are among the `late` highest values. `p_value` is at least the probability that values without any period fit
-    one of the tried periods as well.
+    They are among the `late` highest values. `p_value` is an upper bound of the probability that values without any
+    period fit one of the tried periods as well.
     """
 
     period: float
@@ -49,7 +49,8 @@ class Recurrence:
 
 
 def counts_tried(values: int) -> Iterator[int]:
-    """How many of the highest of so many values count as late: up to two for each cycle of the shortest period."""
+    """The numbers of highest values that are tried as the late ones, up to two for each cycle of the shortest
+    period."""
     count = _LEAST_COUNT
     while count <= min(_COUNT_MAX, 2 * values // LEAST_LOOPS):
         yield count
@@ -57,7 +58,7 @@ def counts_tried(values: int) -> Iterator[int]:
 
 
 def find_recurrence(places: Int64s, *, begin: int, end: int, values: int, searches: int = 1) -> Recurrence | None:
-    """The period of the highest of so many `values`, from `begin` to `end`; None where none is significant.
+    """The period of the highest of `values` values, from `begin` to `end`; None if none is significant.
 
     `places` (k,) are the places of the highest values, highest first, as many as the largest of `counts_tried`. This is
     one of `searches` searches.
@@ -127,10 +128,10 @@ def _phases(events: Int64s, frequency: float) -> NDArray[np.float64]:
 
 
 def _chance_of_arc(phases: NDArray[np.float64], arc: float, step: float) -> float:
-    """An upper bound of the chance that some arc, a part of a circle, holds as many of n even points as here.
+    """An upper bound of the chance that some arc of a circle holds as many of n evenly distributed points as here.
 
-    An arc that holds the most begins at one of the points: n P(Bin(n - 1, arc) >= most - 1), Boole's bound. Where
-    places come in steps (`step`, a part of the circle), an arc may get as many as one that is a step longer.
+    An arc that holds the most begins at one of the points: n P(Bin(n - 1, arc) >= most - 1), Boole's bound. If places
+    come in steps (`step`, a part of the circle), an arc may hold as many as one that is a step longer.
     """
     ordered = np.sort(phases)
     around = np.concatenate((ordered, ordered + 1))
@@ -174,8 +175,8 @@ def _refine(events: Int64s, frequency: float, length: int) -> float:
 
 
 def _fundamental(events: Int64s, frequency: float, length: int, lowest: float) -> float:
-    """The lowest frequency that explains as much, with at least `lowest` cycles in the run: every multiple of it has
-    much of its power, no fraction has any."""
+    """The lowest frequency that explains as much, with at least `lowest` cycles in the run. Every multiple of it has
+    much of its power, but no fraction of it has any."""
     power = _power(events, frequency)
     for parts in range(int(frequency * length / lowest), 1, -1):
         lower = frequency / parts

@@ -1,8 +1,8 @@
 """Where a start-up ends: the first loops are worse, then this fades (caches, page faults, a governor that ramps up).
 
 Blocks of consecutive loops are compared by their ranks. In a run that stays the same, however dependent its values are,
-each of m blocks is the worst one with the chance 1/m. So only the place of the bad blocks is a sign. One burst or one
-load at the start of one run is none; bad first blocks in most runs are one.
+each of m blocks is the worst one with the chance 1/m. So only the place of the bad blocks is a sign: one burst or one
+load at the start of one run is not, bad first blocks in most runs are.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,11 +18,11 @@ from rtrun.kinds.values import Int64s
 
 # Below this chance the first loops are a start-up, after Bonferroni for all lengths, patterns and kinds of events.
 SIGNIFICANT = 0.001
-# At most one part in so many of the shortest run is left out.
+# At most this fraction (1 / MOST) of the shortest run is left out.
 MOST = 5
 # The shortest blocks, in loops. Longer ones have twice, four times, ... as many.
 BLOCK = 32
-# For each length, so many first blocks are kept, and so many of the others: pairs of neighbours from all of the run.
+# For each length, this many first blocks are kept, and this many others: pairs of neighbours from all of the run.
 _FIRST, _OTHERS = 16, 112
 # Patterns: the first 1, 2 or 3 blocks are the worst ones, each worse than the next.
 _PATTERNS = 3
@@ -43,7 +43,7 @@ _LOWEST, _LEAST_ABOVE = 3, 50
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Head:
-    """How bad the first blocks of one output of a run are compared with all others, for each length of blocks.
+    """How much worse the first blocks of one output of a run are than all others, for each length of blocks.
 
     Tables are float64 (kinds, lengths), for each kind of events (high values, misses) and each length. ``blocks`` is
     the number of blocks compared, 0 where there is no event; ``worst`` of them are the worst ones. The first
@@ -104,7 +104,7 @@ def head_of(values_ns: Int64s, absent: Int64s, deadline_ns: int) -> Head:
     """What is kept of the start of one output: values are int64 (n,) in loop order, `absent` (a,) the ascending loop
     positions of values that never came. These count as above all levels."""
     loops = values_ns.size + absent.size
-    # Lengths up to the one of which a fifth of the run holds 4 blocks, and the run 20.
+    # The longest blocks still fit 4 times into a fifth of the run, thus 20 times into the run.
     lengths = max(0, (loops // (4 * MOST * BLOCK)).bit_length())
     whole = loops // BLOCK
     tables = [np.zeros((2, lengths)) for _ in range(5)]
@@ -171,7 +171,7 @@ def _levels(values_ns: Int64s) -> Int64s:
 
 
 def _passed_by(values_ns: Int64s, counts: Int64s) -> Int64s:
-    """The values that so many others exceed."""
+    """The values that are exceeded by as many others as `counts` names."""
     return np.sort(values_ns)[values_ns.size - 1 - counts]
 
 
@@ -199,17 +199,17 @@ def _compare(counts: Floats) -> tuple[float, ...]:
 
 
 def find_startup(runs: Sequence[Sequence[Head]]) -> StartUp | None:
-    """The start-up that runs have in common, None where there is none, or where it does not fade.
+    """The start-up that runs have in common; None if there is none, or if it does not fade.
 
     `runs` has the outputs of each run. Outputs of one run count as one: they are late together.
 
     For each length of blocks: in how many runs are the first j blocks the j worst ones, each worse than the next? In a
     run whose blocks come in any order the chance of that is 1 / (m (m - 1) ... (m - j + 1)), and the number of such
-    runs is binomial (with unlike chances it is narrower: Hoeffding 1956). For j = 1 stationarity is enough; for j > 1,
+    runs is binomial (with unlike chances it is narrower: Hoeffding 1956). For j = 1 stationarity is enough. For j > 1,
     without which a single run shows nothing, neighbouring blocks must not be alike.
 
-    It ends with the first of the lengths tried after which as many loops again are not worse than the rest beyond
-    chance; or with the longest one, if at most a fifth of the excess is left after it.
+    The start-up ends at the first length tried after which as many loops again are no worse than the rest, except by
+    chance; or at the longest one, if at most a fifth of the excess is left after it.
     """
     runs = [run for run in runs if run]
     lengths = min((head.blocks.shape[1] for run in runs for head in run), default=0)

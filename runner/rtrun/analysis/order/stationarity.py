@@ -1,4 +1,4 @@
-"""Did the process stay the same over a run? Tests on where events lie; independent of how high they are."""
+"""Did the process stay the same over a run? The tests use the places of events, not their heights."""
 
 from dataclasses import dataclass, replace
 
@@ -25,8 +25,8 @@ class Change:
     """A sign that it did not stay the same, seen if ``p_value`` is below ``significant``.
 
     ``what`` says that in words. ``p_value`` is corrected for all tests made in the run. It is a change of how high
-    values are, or of how often misses come. Where a load comes and goes, ``missing_loops`` more would show whether that
-    goes on.
+    values are, or of how often misses come. If a load comes and goes, ``missing_loops`` more would show whether it
+    continues to.
     """
 
     p_value: float
@@ -45,7 +45,7 @@ def test_of_parts(positions: Int64s, loops: int) -> tuple[float, Int64s]:
 
 
 def test_of_ends(positions: Int64s, loops: int) -> tuple[float, int, float]:
-    """P-value of the test that events do not gather at one end of a run, how many do, and in what fraction of it.
+    """The p-value of gathering events at one end of a run, how many gather there, and in what fraction of the run.
 
     For uniform places the j-th event from an end lies within a fraction f of it with the chance P(Bin(k, f) >= j).
     That is exact (order statistics; David & Nagaraja 2003, section 2.1), taken at j = 1, 2, 4, ... from both ends and
@@ -63,12 +63,13 @@ def test_of_ends(positions: Int64s, loops: int) -> tuple[float, int, float]:
 
 
 def find_change(positions: Int64s, loops: int, events: str, significant: float = SIGNIFICANT) -> Change | None:
-    """The strongest sign that `events` at ascending positions, int64 (k,), do not come evenly; None with fewer than 2.
+    """The strongest sign that `events` at ascending positions, int64 (k,), come unevenly; None with fewer than 2.
 
     Three tests: do events gather at an end, do they come as often in each eighth, and are the first or last pieces of
     the run worse than others (`test_of_order`)? In the first two, events nearer to the one before than 1/500 of the run
     count once, so that a burst is not taken for a change (runs declustering, Smith & Weissman 1994; the intervals
-    estimator would take a change for one long burst). The last one needs no such rule, and sees what that rule hides.
+    estimator would take a change for one long burst). The last test needs no such rule, and sees changes that the rule
+    hides.
     """
     if positions.size < 2 or loops < PIECES:
         return None
@@ -123,7 +124,7 @@ def _uneven(counts: Int64s, events: str) -> str:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Visits:
-    """When a higher level of events was entered: the loops at which it began each time, int64 (v,), ascending."""
+    """The visits of a higher level of events: the loops at which each began, int64 (v,), ascending."""
 
     starts: Int64s
 
@@ -136,10 +137,10 @@ class Visits:
 def find_visits(positions: Int64s, loops: int) -> Visits:
     """When events at ascending positions, int64 (k,), came more often than on average, and then less often again.
 
-    The number of events so far, less what an even rate gives, rises while there are more of them, and falls while there
-    are fewer. A rise or fall of at least a quarter of its range is one of level, if it is more than chance makes:
-    events at an even rate rise and fall k / h^2 times by h (a random walk of k steps). So a drift or a step is one rise
-    and one fall, and a load that comes and goes has as many as it has turns.
+    The number of events so far, minus that of an even rate, rises while events are frequent and falls while they are
+    rare. A rise or fall of at least a quarter of its range is a change of level if it is beyond chance: events at an
+    even rate rise and fall k / h^2 times by h (a random walk of k steps). So a drift or a step is one rise and one
+    fall, and a load that comes and goes has one of each per turn.
     """
     k = positions.size
     even = positions * (k / loops)
@@ -163,7 +164,7 @@ def find_visits(positions: Int64s, loops: int) -> Visits:
 
 
 def beyond_even(counts: Int64s, loops: Int64s) -> Floats:
-    """How many more events than at an even rate each unit has, (m,), in standard deviations of independent ones."""
+    """By how many standard deviations of independent events each unit has more than at an even rate, (m,)."""
     return np.asarray((counts - counts.sum() * (loops / loops.sum())) / np.sqrt(np.maximum(loops, 1)))
 
 

@@ -1,7 +1,6 @@
 """Do runs, or boots, get worse one after the other? Each has a level of its own: steep trends are seen like flat ones.
-
-The level of a unit is a height that a certain share of its values exceeds, the same for all units: so units compare,
-however long each was measured.
+The level of a unit is the height that a certain share of its values exceeds. The share is the same for all units, so
+units can be compared however long each was measured.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,14 +25,14 @@ from rtrun.kinds.values import Int64s
 # Higher than for events, because units are few: five boots, each worse than the last, have the chance 2/120.
 _SIGNIFICANT_OF_UNITS = 0.02
 LEAST_UNITS = 5
-# The chance with which a trend of the smallest size that is stated is seen.
+# The chance of seeing a trend of the smallest size that an answer states.
 _POWER = 0.9
 _WORSE = ("last", "rising")
-# The test of ranks needs a climb so much steeper than the test of a line's slope: simulated for 5 to 40 units in 1 to 6
-# strata.
+# By this factor the test of ranks needs a steeper climb than the test of a line's slope: simulated for 5 to 40 units in
+# 1 to 6 strata.
 _OF_RANKS, _OF_FEW_RANKS, _MANY = 1.25, 1.75, 8
-# So many values exceed the level in a unit of the lower quartile of lengths; fewer, where more units then have a level.
-# Among many, single misses are a small part.
+# This many values exceed the level in a unit of the lower quartile of lengths; fewer, if more units then have a level.
+# Among many, single misses matter little.
 _EXCEEDED = (100, 20, 10, 5)
 _LEAST_EXCEEDED = 5
 
@@ -45,8 +44,8 @@ Unit = Sequence[Trials]
 class Climb:
     """How levels of units climb: `smallest_ns` per unit is the smallest climb that so many `units` would have shown.
 
-    It would have been seen nine times in ten; None where the units are too few to show any. Where the highest values
-    climb, they reach the deadline after `reached_after` more units of that kind at the pace seen.
+    It would have been seen nine times in ten; None if the units are too few to show any. If the highest values climb,
+    they reach the deadline after `reached_after` more such units at the pace seen.
     """
 
     unit: Literal["run", "boot"]
@@ -80,7 +79,7 @@ def changes_between(strata: Sequence[Sequence[Unit]], name: str, *, of_heights: 
 
 
 def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Change]:
-    """Yield the signs that runs, laid over one another, are worse at the end than before, as a leak makes them."""
+    """Yield the signs that runs, laid over one another, are worse at their ends than before, as with a leak."""
     runs = [run for run in runs if all(one.n >= PIECES for one in run)]
     of_misses = [sum(_in_pieces(one.missed_at, one.n) for one in run) for run in runs]
     of_high = [sum(_in_pieces(one.high_at, one.n) for one in run) for run in runs] if of_heights else []
@@ -89,7 +88,7 @@ def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Cha
         (of_high, "high values come more often", SIGNIFICANT, True),
     ):
         order = find_common_order(np.array(counts, np.float64)) if counts else None
-        # An effect at the start of each run fades: longer runs have less of it.
+        # An effect at the start of each run fades, so longer runs have less of it.
         if order is not None and order.where in _WORSE:
             text = f"{events} {order.words('pieces')} of each run, cut into {PIECES}"
             yield Change(p_value=order.p_value, significant=significant, text=text, of_heights=is_of_heights)
@@ -125,7 +124,8 @@ def levels_ns(strata: Sequence[Sequence[Unit]]) -> list[Floats]:
 
 
 def _level_ns(unit: Unit, share: float) -> int | None:
-    """The height that this share of a unit's values reach; None if these are too few, or not all of them were kept."""
+    """The height that this share of a unit's values reaches; None if these are too few, or not all of them were
+    kept."""
     number = round(share * _loops(unit))
     known = [one.high_ns for one in unit if one.high_ns.size]
     if number < _LEAST_EXCEEDED or len(known) < len(unit):
@@ -153,7 +153,7 @@ def find_climb(unit: Literal["run", "boot"], strata: Sequence[Sequence[Unit]], d
 
 
 def _smallest_ns(strata: Sequence[Floats]) -> float | None:
-    """The slope in ns per unit that so many units show nine times in ten, from the power of the test of a slope."""
+    """The slope in ns per unit that this many units show nine times in ten, from the power of the test of a slope."""
     units, spread = sum(levels.size for levels in strata), sum(_of_places(levels.size) for levels in strata)
     degrees = units - len(strata) - 1
     if units < LEAST_UNITS or degrees < 1:

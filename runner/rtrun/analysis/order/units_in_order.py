@@ -1,7 +1,7 @@
 """Does the order of units matter: are the first or the last of them worse, or is each a little worse than the last?
 
-However much units differ, as long as their order does not matter, a p-value below x has the chance x (permutation
-test; Westfall & Young 1993 for the largest of several statistics).
+If the order of units does not matter, a p-value below x has the chance x, however much units differ (permutation test;
+Westfall & Young 1993 for the largest of several statistics).
 """
 
 from collections.abc import Sequence
@@ -17,15 +17,14 @@ SEED = 20140715
 _PERMUTATIONS = 999
 # How many random orders are made at a time: for ten thousand units they take 9 MiB.
 _AT_A_TIME = 111
-# Less than so many standard deviations are no sign, and need no permutations.
+# Fewer standard deviations than this are no sign, and need no permutations.
 _LEAST = 1.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Order:
-    """The strongest sign that the order of units matters; `p_value` is corrected for all signs that were looked at.
-
-    The `count` first or last units are higher than the others; or later units are ever higher (lower).
+    """The strongest sign that the order of units matters; `p_value` is corrected for all signs that were examined. The
+    `count` first or last units are higher than the others; or units get higher (lower) with time.
     """
 
     p_value: float
@@ -43,8 +42,8 @@ def find_order(strata: Sequence[Floats], *, by_height: bool) -> Order | None:
     """The strongest sign of an order in the values (m,) of the units of each stratum, which follow one another.
 
     The means of the first and the last 1, 2, 4, ... units are compared with all others, and values with their places
-    (Spearman 1904): by rank, so that one high value does not hide what the others show, and `by_height` as they are,
-    too. None where no stratum holds two values that differ.
+    (Spearman 1904). Ranks are compared, so that one high value does not hide what the others show; with `by_height`
+    also the values themselves. None if no stratum holds two values that differ.
     """
     strata = [values for values in strata if values.size > 1 and np.ptp(values) > 0]
     if not strata:
@@ -66,9 +65,9 @@ def find_order(strata: Sequence[Floats], *, by_height: bool) -> Order | None:
 def find_common_order(runs: Floats) -> Order | None:
     """The strongest sign that runs, whose pieces have the values (r, m), are higher in the same pieces of all of them.
 
-    The signs are those of `find_order`, each run has one vote. Within a run neighbours may depend on one another: if
-    nothing ties its course to where it began, it is as likely in any circular shift of its pieces. None where less than
-    two runs have values that differ.
+    The signs are those of `find_order`; each run has one vote. Within a run neighbours may depend on one another. If
+    nothing ties its course to its begin, any circular shift of its pieces is equally likely. None if fewer than two
+    runs have values that differ.
     """
     runs = runs[np.ptp(runs, axis=1) > 0]
     r, m = runs.shape
@@ -91,7 +90,7 @@ def find_common_order(runs: Floats) -> Order | None:
 
 
 def signs_looked_at(m: int) -> int:
-    """How many signs so many units have: the p-value of the strongest is at most so many times that of a single one."""
+    """How many signs `m` units have: the p-value of the strongest is at most this many times that of a single one."""
     return 2 + 2 * len(_numbers(m))
 
 

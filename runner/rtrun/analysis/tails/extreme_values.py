@@ -1,4 +1,4 @@
-"""Worst case by extreme value theory: block maxima, and what every opinion needs; or the reason why there is none."""
+"""Worst case by extreme value theory: block maxima, what every opinion needs, and why an opinion is refused."""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ _EXTRAPOLATION = 100
 
 @dataclass(frozen=True, kw_only=True)
 class Tail:
-    """What one run says about its worst case: its highest values with their places, and maxima of equal blocks.
+    """What one run shows about its worst case: its highest values with their places, and maxima of equal blocks.
 
     ``values_ns`` (k,) with ascending ``positions`` (k,) are all values at or above ``floor_ns``, about the highest
     1 % and at most 20 000; ``maxima_ns`` (b,) of consecutive blocks of ``block`` loops.
@@ -41,7 +41,7 @@ class Tail:
 
 @dataclass(frozen=True, kw_only=True)
 class Assumption:
-    """One assumption put to the test: its p-value (None where the check is a plain limit) and what was seen."""
+    """One tested assumption: its p-value (None if the check is a plain limit) and what was seen."""
 
     name: str
     passed: bool
@@ -96,7 +96,8 @@ def tail_of(values_ns: Int64s) -> Tail:
 
 
 def high_values(runs: Sequence[Tail]) -> tuple[int, Int64s, Int64s]:
-    """Measurements in all runs, and the high values that all of them kept, with their positions over all runs."""
+    """Measurements in all runs, and the values from the highest floor of a run on, with their positions over all
+    runs."""
     n = sum(run.n for run in runs)
     floor = max((run.floor_ns for run in runs if run.n), default=0)
     offsets = np.cumsum([0, *(run.n for run in runs)])[:-1]
@@ -208,7 +209,7 @@ def refuse(
 
 
 def too_far(n: int, probability: float) -> str | None:
-    """Why a probability lies too far beyond so many measurements; None where it does not."""
+    """Why a probability lies too far beyond `n` measurements; None if it does not."""
     if n * probability * _EXTRAPOLATION >= 1:
         return None
     return (
@@ -218,7 +219,7 @@ def too_far(n: int, probability: float) -> str | None:
 
 
 def above_bound(seen_ns: int, bound_ns: float) -> str:
-    """Why a bound does not hold: a higher value was measured."""
+    """Why a bound does not hold: a higher value was measured; None if none was."""
     return f"a value of {time(seen_ns)} was seen above the fitted bound of {time(bound_ns)}"
 
 
@@ -240,7 +241,7 @@ def _coarser(run: Tail, block: int) -> Int64s:
 
 
 def resolution(peaks: Int64s, quantum_ns: int) -> Assumption:
-    """Whether there are enough different values to fit anything."""
+    """The check that there are enough different values for a fit."""
     distinct = int(np.unique(peaks // quantum_ns).size)
     return Assumption(
         name="quantisation",

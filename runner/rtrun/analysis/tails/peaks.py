@@ -26,7 +26,7 @@ from rtrun.analysis.tails.extreme_values import (
 )
 from rtrun.kinds.values import Int64s
 
-# More peaks would make the interval shorter, but wrong where the tail is only nearly a GPD. With 4000 of 200 000 normal
+# More peaks would make the interval shorter, but wrong if the tail is only nearly a GPD: with 4000 of 200 000 normal
 # values the truth lay above the interval in half of the simulated cases, though the tests of fit passed.
 _MOST_PEAKS = 1_000
 _LEAST_INDEX = 0.05
@@ -61,7 +61,7 @@ class _Fit:
 def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
     """Fit a generalised Pareto distribution to declustered excesses (Pickands 1975; Coles 2001, chapters 4 and 5).
 
-    From low to high, the first threshold is taken whose fit is not rejected (Bader, Yan & Zhang 2018).
+    The lowest threshold is taken whose fit is not rejected (Bader, Yan & Zhang 2018).
     """
 
     def refused(why: str, checks: Sequence[Assumption] = (), peaks: _Peaks | None = None) -> Bound:

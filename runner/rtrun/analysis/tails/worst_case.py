@@ -35,12 +35,12 @@ def worst_case(
 
 
 def exponential_tail(runs: Sequence[Tail], probability: float, confidence: float, quantum_ns: int) -> Bound:
-    """An exponential tail where excesses vary no more than exponential ones: a bound from above for lighter tails.
+    """An exponential tail, if excesses vary no more than exponential ones do: an upper bound for lighter tails.
 
     The residual coefficient of variation (standard deviation over mean of the excesses) is 1 for an exponential tail
     and smaller for a lighter one (del Castillo & Daoudi 2009; MBPTA-CV, Abella et al. 2017). The lowest threshold is
     taken at which it is not above 1 + 1.64 / sqrt(k) (5 %; its standard error is 1 / sqrt(k)). The interval of the mean
-    excess comes from the gamma distribution, and that of the level from it.
+    excess comes from the gamma distribution; the interval of the level follows from it.
     """
     n, values, positions = high_values(runs)
     if values.size < _LEAST_PEAKS:
