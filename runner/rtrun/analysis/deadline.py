@@ -45,9 +45,10 @@ class Answer(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Unlike:
-    """Units of another kind may exist, though none was among those `measured`: at most this `share` of all units. The
-    share holds at the requested confidence. `short` of the measured units are too short to show of which kind they are,
-    so they count as another kind. For hours, the share is the part of the day in which nothing was measured.
+    """Units of another kind may exist, though none was among those `measured`: at most this `share` of all units.
+
+    The share holds at the requested confidence. `short` of the measured units are too short to show of which kind they
+    are, so they count as another kind. For hours, the share is the part of the day in which nothing was measured.
     """
 
     unit: Literal["run", "boot", "board", "hour"]
@@ -307,8 +308,9 @@ def _units_missing(question: Question, account: Account) -> int | None:
 
 
 def _episodes(runs: Sequence[Trials], question: Question, account: Account, confidence: float) -> Episodes | None:
-    """The episodes of misses. Like misses they are judged with the dependence between them. There is no bound if
-    attempts were lost or load hid some time: these may hold any number of episodes.
+    """The episodes of misses. Like misses they are judged with the dependence between them.
+
+    There is no bound if attempts were lost or load hid some time: these may hold any number of episodes.
     """
     found = [run.episodes for run in runs if run.episodes is not None]
     if len(found) < len(runs) or not found:

@@ -1,7 +1,8 @@
-"""How long periodic work can take at worst on one CPU with fixed priorities: the response-time analysis. The bound
-holds if these assumptions do. Each task is released once a period, at most its jitter late. It takes at most its cost
-of CPU time, and does not wait on its own. Tasks of lower priority give the CPU up after at most `blocking_ns`. Nothing
-else runs on the CPU, not even the kernel and its interrupts.
+"""How long periodic work can take at worst on one CPU with fixed priorities: the response-time analysis.
+
+The bound holds if these assumptions do. Each task is released once a period, at most its jitter late. It takes at most
+its cost of CPU time, and does not wait on its own. Tasks of lower priority give the CPU up after at most `blocking_ns`.
+Nothing else runs on the CPU, not even the kernel and its interrupts.
 """
 
 from collections.abc import Iterable

@@ -1,1 +1,1 @@
-"""What was seen of a system, and what was not: the account that every answer rests on."""
+"""What was seen of a system, and what was not: every answer rests on this account."""

@@ -1,4 +1,4 @@
-"""The account of a group of runs: their trials, where each belongs, and what was attempted beside them or not seen."""
+"""The account of a group of runs: their trials, the run, boot and board of each, lost attempts, and time not seen."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ from rtrun.targets.inspection.platform import Platform
 def take_account(
     outputs: Sequence[tuple[Header, Trials]], records: Mapping[str, RunRecord], lost: Sequence[LostAttempt]
 ) -> Account:
-    """The account of outputs of runs of one kind, at least one. `records` are by run, `lost` is of the whole folder."""
+    """The account of at least one output of runs of one kind. `records` are by run; `lost` is for the whole folder."""
     headers = [header for header, _ in outputs]
     kinds = {kind_of(header.target, header.suite, header.parameters) for header in headers}
     of_runs = [records[run] for run in dict.fromkeys(header.run for header in headers) if run in records]
@@ -38,7 +38,7 @@ def take_account(
 
 
 def clock_step_ns(headers: Sequence[Header]) -> int | None:
-    """The widest clock step that any of these was measured with, None where none is known."""
+    """The widest clock step of these measurements; None if none is known."""
     return max((header.clock_step_ns for header in headers if header.clock_step_ns), default=None)
 
 

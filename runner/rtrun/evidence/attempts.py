@@ -1,6 +1,6 @@
 """Attempts that gave no values to judge: they failed, were invalid, were measured again, or are gone.
 
-Leaving them out would keep only the lucky ones: a run that hung may have been late to the end. So each attempt counts,
+Leaving them out would keep only the lucky runs: one that hung may have been late to its end. So each attempt counts,
 unless its record (`UnrelatedEnd`) or the journal (`GivenUp`) says that its end had nothing to do with lateness.
 Attempts that began to measure and left no record are known from the journal.
 """
@@ -28,7 +28,7 @@ _NUMBERED = re.compile(r"([0-9]{1,6})-.*", re.ASCII)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LostAttempt:
-    """An attempt that gave nothing to judge; `why` says what became of it.
+    """An attempt that gave nothing to judge, and `why`.
 
     `kinds` are the kinds that it would have measured (`kind_of`); empty if not known: it may have been any.
     """
@@ -38,7 +38,7 @@ class LostAttempt:
     kinds: frozenset[str] = frozenset()
 
     def may_be_of(self, kinds: Collection[str]) -> bool:
-        """Whether it would have measured one of these kinds, as far as that is known."""
+        """Whether it may have measured one of these kinds."""
         return not self.kinds or not self.kinds.isdisjoint(kinds)
 
     def __str__(self) -> str:
@@ -46,7 +46,7 @@ class LostAttempt:
 
 
 def kind_of(target: str, suite: str, parameters: Mapping[str, Value]) -> str:
-    """What a run measures, and on which target: runs of one kind differ only in what they found."""
+    """What a run measures, and on which target: runs of one kind differ only in their results."""
     return json.dumps([target, suite, sorted(telling_parameters(parameters).items())])
 
 
@@ -55,12 +55,12 @@ def lost_attempts(
 ) -> tuple[LostAttempt, ...]:
     """The attempts in a folder that are not judged, except those whose end had nothing to do with lateness.
 
-    `records` are those of the closed runs, `unreadable` says why others, or their values, cannot be read.
+    `records` are those of the closed runs; `unreadable` says why other records, or values, cannot be read.
     """
     lost = [_lost(folder.name, record, unreadable.get(folder), records) for folder, record in records.items()]
     lost += [LostAttempt(run=folder.name, why=why) for folder, why in unreadable.items() if folder not in records]
     lost += [_measured_again(folder, records) for folder in source.old]
-    # Nobody knows whether these had hung before.
+    # These may have hung before that.
     lost += [
         LostAttempt(run=name, why="cut off by a restart of the target", kinds=_kinds_of_run(name, records))
         for name in (*source.repeated, *filter(_CUT_OFF.search, source.incomplete))
@@ -92,7 +92,7 @@ def _kind(record: RunRecord) -> str:
 
 
 def _kinds(record: RunRecord, records: Mapping[Path, RunRecord]) -> frozenset[str]:
-    """What an attempt would have measured; for a failed topology, also the streams that others of its kind have."""
+    """What an attempt would have measured; for a failed topology, also the streams of other runs of its kind."""
     kind = _kind(record)
     if record.status is RunStatus.OK or record.coverage is not None:
         return frozenset({kind})
@@ -101,7 +101,7 @@ def _kinds(record: RunRecord, records: Mapping[Path, RunRecord]) -> frozenset[st
 
 
 def _kinds_of_run(name: str, records: Mapping[Path, RunRecord]) -> frozenset[str]:
-    """What the attempts at a run measure, including its streams, on every target and kernel that has runs here."""
+    """What the attempts at a run measure, including its streams, on every target and kernel with runs here."""
     run = _plain(name)
     of_run = [one for folder, one in records.items() if run in (folder.name, one.observed_by)]
     targets = {target_of(one) for one in records.values()}
@@ -109,7 +109,8 @@ def _kinds_of_run(name: str, records: Mapping[Path, RunRecord]) -> frozenset[str
 
 
 def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator[LostAttempt]:
-    """Attempts without a record: never closed, known only from the journal, or, without one, missing in the numbers."""
+    """Attempts without a record: never closed, known only from the journal or, without a journal, missing in the
+    numbering."""
     if not folder.is_dir():
         return
     names = [child.name for child in folder.iterdir() if child.is_dir() and not child.name.startswith(".")]
@@ -124,7 +125,7 @@ def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator
         return
     kept = Counter(_plain(name) for name in names if _CUT_OFF.search(name))
     closed = Counter(_plain(name) for name in names if not _CUT_OFF.search(name) and is_closed(folder / name))
-    # An attempt of a runner that is still at work goes on.
+    # A runner is still at work on its attempt.
     goes_on = is_at_work(folder)
     for run, each in known.items():
         if not _is_warm_up(run):
@@ -133,14 +134,14 @@ def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator
 
 
 def _unaccounted(each: RunAttempts, closed: int, kept: int, *, goes_on: bool) -> Iterator[str]:
-    """What the journal says about attempts at a run that are not here; `closed` and `kept` count those here."""
+    """What the journal says about attempts at a run that the folder lacks; it has `closed` and `kept` ones."""
     for _ in range(each.closed - closed):
         here = f"{closed} of them {'is' if closed == 1 else 'are'} here"
         yield f"closed {counted(each.closed, 'time')} by the journal, {here}"
     for _ in range(each.kept - kept):
         yield "cut off by a restart of the target, and what was kept of it is not here"
     yield from each.given_up
-    # A runner that was killed may have closed or kept it without time to write that down.
+    # A runner may have been killed after it closed or kept the attempt, and before it wrote that down.
     said = max(0, closed - each.closed) + max(0, kept - each.kept)
     yield from each.never_closed(goes_on=goes_on)[said:]
 
@@ -150,7 +151,7 @@ def _plain(name: str) -> str:
 
 
 def _is_warm_up(name: str) -> bool:
-    """Whether it is a warm-up, whose values are never judged."""
+    """Whether this is a warm-up: its values are never judged."""
     return _plain(name).endswith(WARM_UP)
 
 

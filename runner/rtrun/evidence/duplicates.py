@@ -10,7 +10,7 @@ from rtrun.analysis.histogram import Histogram
 from rtrun.analysis.trials import Trials
 from rtrun.kinds.values import Int64s
 
-# A run among ten thousand others has the same counts by chance less often than once in a thousand archives.
+# With this chance for each pair, fewer than one in a thousand archives of ten thousand runs has equal counts by chance.
 BY_CHANCE = 1e-12
 # How many of the highest values of a run are compared, and how many must lie at the same distances in two runs. Two
 # separate measurements of 10 000 loops with a clock of 1 us share two or three.
@@ -23,7 +23,7 @@ _PLACES_MAX = 1000
 def chance_of_same_counts(histogram: Histogram) -> float:
     """The highest chance of exactly these counts under any distribution: multinomial, with the shares of the counts.
 
-    1 where there is only one bin: a coarse clock gives the same for every run.
+    It is 1 if there is only one bin: with a coarse clock all runs have the same counts.
     """
     counts = [*map(int, histogram.counts), histogram.overflow]
     n = sum(counts)
@@ -32,7 +32,7 @@ def chance_of_same_counts(histogram: Histogram) -> float:
 
 
 def copies_among(histograms: Sequence[tuple[str, Histogram]]) -> dict[str, str]:
-    """The runs, by name, that hold the same counts as another one, each with the name of the other.
+    """Find runs whose counts are equal: the name of each, with that of the other run.
 
     A run has a histogram for each of its outputs.
     """
@@ -50,11 +50,12 @@ def copies_among(histograms: Sequence[tuple[str, Histogram]]) -> dict[str, str]:
 
 
 def overlaps_among(trials: Sequence[tuple[str, Trials]]) -> dict[str, str]:
-    """The runs, by name, that hold a part of what another one holds, each with the name of the other.
+    """Find runs that share values with another run: the name of each, with that of the other run.
 
-    A log that was appended to, cut off, shifted or edited is not the same file, but its highest values are as far apart
-    as they were. The start-ups of two measurements may be alike, so the tenth with most of the shared values does not
-    count. Periodic values make a run resemble itself some time later, so two runs must share twice as many as that.
+    A log that was appended to, cut off, shifted or edited is another file, but its highest values have the same
+    distances. The start-ups of two measurements may be alike, so the tenth with most of the shared values does not
+    count. A run with periodic values resembles itself some time later, so two runs must share twice as many values as
+    that.
     """
     if not trials:
         return {}

@@ -1,4 +1,4 @@
-"""In which hours of the day runs were measured: measuring at night does not show a machine that is worse by day."""
+"""In which hours of the day runs were measured: nights do not show that a machine is worse by day."""
 
 from collections.abc import Iterable
 from datetime import datetime, timedelta
@@ -8,7 +8,7 @@ from rtrun.results.record import RunRecord, moment
 
 
 def hours_measured(records: Iterable[RunRecord]) -> int | None:
-    """In how many of the 24 hours of a day (UTC) runs were measured; None where the time of one is not known."""
+    """In how many of the 24 hours of a day (UTC) runs were measured; None if the time of one is not known."""
     hours: set[int] = set()
     for record in records:
         start, end = moment(record.start_time), moment(record.end_time)

@@ -1,4 +1,4 @@
-"""How much of the time of observations was seen, and how much of the rest load may have hidden."""
+"""How much of the observations' time was seen, and how much of the rest load may have hidden."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -6,20 +6,20 @@ from dataclasses import dataclass
 from rtrun.probes.hits import GapCause, covered_ns
 from rtrun.results.record import RunRecord
 
-# What a busy machine causes: a program is kept from running, or events come faster than they are read.
+# Causes of gaps on a busy machine: a program cannot run, or events come faster than they are read.
 OF_LOAD = frozenset((GapCause.RESTED, GapCause.EVENTS_LOST, GapCause.WATCHDOG_SILENT))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimeSeen:
-    """Shares of the time that was asked for, 0 to 1: not seen, and of that, because of load."""
+    """Shares of the requested time, 0 to 1: the part not seen, and the part not seen because of load."""
 
     unseen_share: float = 0.0
     hidden_share: float = 0.0
 
 
 def time_seen(records: Iterable[RunRecord]) -> TimeSeen:
-    """What observations have seen; a run that measures by itself has seen all of its time."""
+    """The time that observations have seen; a run that does not observe has seen all of its time."""
     asked_ns = unseen_ns = hidden_ns = 0
     for record in records:
         if (coverage := record.coverage) is not None:

@@ -1,6 +1,7 @@
-"""Chances and quantiles of the distributions that the analysis rests on. scipy.special has all of these, but is as
-large as everything else needed to measure and judge, and takes longer to load than a small report. Here each chance is
-one integral, and all are computed in the same way to at least eleven digits.
+"""Chances and quantiles of the distributions that the analysis rests on.
+
+scipy.special has all of these, but is as large as everything else needed to measure and judge, and takes longer to load
+than a small report. Here each chance is one integral, and all are computed in the same way to at least eleven digits.
 `tests/rtrun/analysis/test_distributions.py` compares them with scipy.
 """
 

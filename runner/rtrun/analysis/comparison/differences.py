@@ -68,10 +68,12 @@ class Shift:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Two sets, compared; without shifts if there are too few data. ``distance`` is the largest difference of the
-    distribution functions (0 to 1), ``p_value`` the chance of one as large if both sets came from one process.
-    ``units`` is what was resampled: 'runs', 'boots' if the sets have no boot in common, or 'blocks' if there are too
-    few runs or boots to know how much they differ. ``interleaved``: the runs were measured in turn.
+    """Two sets, compared; without shifts if there are too few data.
+
+    ``distance`` is the largest difference of the distribution functions (0 to 1), ``p_value`` the chance of one as
+    large if both sets came from one process. ``units`` is what was resampled: 'runs', 'boots' if the sets have no boot
+    in common, or 'blocks' if there are too few runs or boots to know how much they differ. ``interleaved``: the runs
+    were measured in turn.
     """
 
     answer: ComparisonAnswer
@@ -104,8 +106,9 @@ def compare(
     clock_step_ns: int = 1,
     tests: int = 1,
 ) -> Comparison:
-    """Compare two sets of runs of the same series; the default margin is 5 % of A's figure. It is one of `tests`
-    comparisons that `correct` takes together.
+    """Compare two sets of runs of the same series; the default margin is 5 % of A's figure.
+
+    It is one of `tests` comparisons that `correct` takes together.
 
     DIFFERENT needs five runs a side (five boots, where the sets have none in common), measured in turn.
 

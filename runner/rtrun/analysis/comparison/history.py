@@ -63,9 +63,10 @@ def level_of_test(false_alarms: float, tests: int) -> float:
 
 
 def best_level(history: Floats) -> tuple[Floats, float]:
-    """The lowest level between the change points of a history (u,), among levels of at least LEAST_BOOTS boots. Thus a
-    build that made things worse does not become the reference of the next builds. The second value is the standard
-    deviation of boots within all levels, because the few boots of one level may lie close together by chance.
+    """The lowest level between the change points of a history (u,), among levels of at least LEAST_BOOTS boots.
+
+    Thus a build that made things worse does not become the reference of the next builds. The second value is the
+    standard deviation of boots within all levels, because the few boots of one level may lie close together by chance.
     """
     stretches = [history[stretch] for stretch in levels(history)]
     squares = sum(float(((level - level.mean()) ** 2).sum()) for level in stretches)

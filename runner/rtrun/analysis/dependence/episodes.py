@@ -1,4 +1,5 @@
 """Misses that lie near one another are one episode: how many there are, how long they last, and how often they come.
+
 P(miss) does not tell how often they come. A bound on that needs no assumption about their length.
 """
 

@@ -47,8 +47,10 @@ def count_alike(runs: Sequence[Trials]) -> list[CountedRun]:
 
 
 def shorter(runs: Sequence[Trials], keys: Sequence[str]) -> int:
-    """How many units, given by the key of each run, have fewer than half of the median unit's measurements. They hardly
-    count beside the others. So if units of another kind end early, the misses of that kind hardly count, either.
+    """How many units, given by the key of each run, have fewer than half of the median unit's measurements.
+
+    They hardly count beside the others. So if units of another kind end early, the misses of that kind hardly count,
+    either.
     """
     lengths = [n for n, _ in sums([CountedRun(n=run.n, misses=0) for run in runs], keys).values()]
     return sum(2 * n < median_low(lengths) for n in lengths)

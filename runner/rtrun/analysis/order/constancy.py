@@ -134,7 +134,9 @@ def examine_constancy(
     boots: Sequence[Boot], *, probability: float, confidence: float, deadline_ns: int | None = None
 ) -> Constancy:
     """Search for changes within runs, from run to run and from boot to boot, and for a boot that misses too often
-    alone. While twice the highest value is below the deadline, heights do not matter and only misses are examined.
+    alone.
+
+    While twice the highest value is below the deadline, heights do not matter and only misses are examined.
     """
     worst_ns = max((run.worst_ns for boot in boots for run in boot.trials if run.worst_ns is not None), default=0)
     of_heights = deadline_ns is None or 2 * worst_ns >= deadline_ns

@@ -1,4 +1,5 @@
 """Do runs, or boots, get worse one after the other? Each has a level of its own: steep trends are seen like flat ones.
+
 The level of a unit is the height that a certain share of its values exceeds. The share is the same for all units, so
 units can be compared however long each was measured.
 """

@@ -23,8 +23,9 @@ _LEAST = 1.5
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Order:
-    """The strongest sign that the order of units matters; `p_value` is corrected for all signs that were examined. The
-    `count` first or last units are higher than the others; or units get higher (lower) with time.
+    """The strongest sign that the order of units matters; `p_value` is corrected for all signs that were examined.
+
+    The `count` first or last units are higher than the others; or units get higher (lower) with time.
     """
 
     p_value: float
