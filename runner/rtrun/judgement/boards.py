@@ -1,4 +1,4 @@
-"""Several boards that measured the same: which of them are alike, and how far they differ in what they measured."""
+"""Several boards that measured the same: which of them are alike, and how far their results differ."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ _SPREAD_PERCENT = 99.9
 
 
 def spread(group: Group) -> str:
-    """The lowest and the highest figures of single boards, with their boards."""
+    """The lowest and the highest figure among the boards, each with its board."""
     parts = []
     misses = {board.boards[0]: board.verdict.p_miss for board in group.members if board.verdict}
     if any(misses.values()):
@@ -31,7 +31,7 @@ def _range(values: dict[str, tuple[float, str]]) -> str:
 
 
 def differences(groups: Sequence[Group]) -> list[str]:
-    """Why boards that measured the same are not pooled, a line for each fact of the target in which they differ."""
+    """Why boards that measured the same are not pooled: a line for each fact of the target in which they differ."""
     boards = {board: group.environment for group in groups if not group.members for board in group.boards}
     facts = dict.fromkeys(fact for environment in boards.values() for fact, _ in environment)
     lines = []

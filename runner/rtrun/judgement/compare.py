@@ -19,7 +19,7 @@ from rtrun.targets.inspection.platform import Platform
 
 @dataclass(frozen=True, kw_only=True)
 class Changed:
-    """What became of one group."""
+    """One group on both sides, compared."""
 
     label: str
     comparison: Comparison
@@ -33,7 +33,7 @@ class Changed:
 
 @dataclass(frozen=True, kw_only=True)
 class Compared:
-    """Two sets: the groups in both, those in only one, and those that could be matched in several ways."""
+    """Two compared sets: the groups in both, those in only one, and those with several possible matches."""
 
     platform: Platform
     deadline_ns: int | None
@@ -47,7 +47,7 @@ class Compared:
 
 
 def compare_sets(a: Path, b: Path, question: Question, *, margin_ns: float | None) -> Compared:
-    """Compare what two paths hold, group by group, as `compare_studies` does."""
+    """Compare the results at two paths, group by group, as `compare_studies` does."""
     first, second = (study(path, question, bounds=False) for path in (a, b))
     return compare_studies(first, second, margin_ns=margin_ns)
 
@@ -70,8 +70,8 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
     """Compare two studies of the same question, group by group.
 
     Groups of the same suite and parameters are compared if they are of the same target, or if each side has one such
-    group: then the target is what changed. Where one side has results of the programs of 2014, one-shot timers are
-    compared by measured_2014 and cyclic ones by their jitter, on both sides, and the label says so. Groups that are not
+    group: then the target is what changed. If one side has results of the programs of 2014, both sides are compared by
+    measured_2014 of one-shot timers and by the jitter of cyclic ones, and the label says so. Groups that are not
     compared are in ``ambiguous``, ``only_a`` or ``only_b``. Raises UsageError for two platforms.
     """
     if first.platform is not second.platform and first.digests and second.digests:
@@ -103,7 +103,7 @@ def compare_studies(first: Study, second: Study, *, margin_ns: float | None) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class _Match:
-    """Groups of the same circumstances, of both sides: those of one target in pairs, and the labels of the rest."""
+    """Groups of both sides under the same circumstances: pairs of one target, and the labels of the rest."""
 
     pairs: tuple[tuple[Group, Group], ...] = ()
     only_a: tuple[str, ...] = ()
@@ -130,7 +130,7 @@ def _match(a: Sequence[Group], b: Sequence[Group]) -> _Match:
 
 
 def _by_board(groups: Sequence[Group]) -> dict[tuple[str, int], Group]:
-    """The group of each board that has only one, by the board and the width of its bins."""
+    """The groups of boards that have one group each, by board and width of the bins."""
     found: dict[tuple[str, int], list[Group]] = {}
     for group in groups:
         for board in group.boards:
@@ -141,7 +141,7 @@ def _by_board(groups: Sequence[Group]) -> dict[tuple[str, int], Group]:
 def _by_circumstances(side: Study, as_in_2014: set[str]) -> dict[str, list[Group]]:
     """Groups that measured something, by suite, series and parameters.
 
-    For the suites in `as_in_2014`, these are the groups of the series of 2014, and of runs that have no such series.
+    For the suites in `as_in_2014`, take the groups of the series of 2014, and those of runs without such a series.
     """
     groups: dict[str, list[Group]] = {}
     of_2014 = [group for group in side.as_in_2014 if group.suite in as_in_2014]
@@ -156,7 +156,7 @@ def _by_circumstances(side: Study, as_in_2014: set[str]) -> dict[str, list[Group
 
 
 def _origin(group: Group) -> tuple[str, int]:
-    """What else keeps groups apart: target, width of the bins."""
+    """What else distinguishes groups: target, width of the bins."""
     first = group.digests[0]
     return group.target, first.histogram.bin_ns
 
@@ -166,7 +166,7 @@ def _origin_text(group: Group) -> str:
 
 
 def _label(a: Group, b: Group, *, of_several: bool) -> str:
-    """The name of a pair; among several alike, with the target, or the board where two kernels are compared."""
+    """The name of a pair; if several are alike, with the target, or with the board if two kernels are compared."""
     if not of_several:
         return a.label
     return f"{a.label} on {_origin_text(a) if a.target == b.target else ', '.join(a.boards)}"

@@ -1,4 +1,4 @@
-"""What is kept of one series of one run: small, and enough for every verdict, figure and plot of the report."""
+"""The digest of one series of one run: small, and enough for every verdict, figure and plot of the report."""
 
 import math
 from collections.abc import Sequence
@@ -41,11 +41,12 @@ class Cluster:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ThinnedSeries:
-    """A series over its loops, thinned: ``low_ns`` and ``high_ns`` (c,) of the columns of ``width`` loops with values.
+    """A series over its loops, thinned: ``low_ns`` and ``high_ns`` (c,) of each column of ``width`` loops that has
+    values.
 
-    ``loops`` (c,) are the first loops of these columns; a column has no place where all its values are missing. `end`
-    follows the last loop. ``counts`` (r, w) are the numbers of values in wider columns of ``columns_of`` loops, between
-    ``edges_ns`` (r + 1,) at equal distances on ``scale``.
+    ``loops`` (c,) are the first loops of these columns; a column without any value is left out. `end` follows the last
+    loop. ``counts`` (r, w) are the numbers of values in wider columns of ``columns_of`` loops, between ``edges_ns`` (r
+    + 1,) at equal distances on ``scale``.
     """
 
     loops: Int64s
@@ -79,7 +80,7 @@ class Digest:
 
     @property
     def loops(self) -> int:
-        """Measurements asked for, as far as known, including the start-up and those that have no value."""
+        """Requested measurements, as far as known, including the start-up and those without a value."""
         return self.n + len(self.header.startup) + self.header.missing + self.header.not_fired + self.header.skipped
 
     @property
@@ -92,9 +93,10 @@ class Digest:
 class JudgedDigest(Digest):
     """A series that gets a verdict: the main one, or that of 2014 beside it, which tolerates no miss.
 
-    `question` is what it has to answer; None: it has no deadline. `undecidable` says why there are no `trials`. Only a
-    main series whose values have an order has `tail` and `course`. `head` shows whether there is a start-up; `startup`
-    are its trials, which are left out of `trials` but not of the figures. Both are None where no order was kept.
+    `question` is the question that it has to answer; None: it has no deadline. `undecidable` says why there are no
+    `trials`. Only a main series whose values have an order has `tail` and `course`. `head` shows whether there is a
+    start-up; `startup` are its trials, which are left out of `trials` but not of the figures. Both are None where no
+    order was kept.
     """
 
     question: Question | None
@@ -108,7 +110,7 @@ class JudgedDigest(Digest):
 
 
 def digest(series: Series, question: Question | None, startup_loops: int = 0) -> Digest:
-    """Reduce a series; its verdict is prepared for the deadline and the tolerance of the question, if there is one.
+    """Reduce a series, with what a verdict needs for the deadline and the tolerance of the question, if there is one.
 
     The first `startup_loops` are left out of its trials.
     """
@@ -155,7 +157,7 @@ def digest(series: Series, question: Question | None, startup_loops: int = 0) ->
 
 
 def _count_without_order(series: HistogramSeries, deadline_ns: int, tolerance: Tolerance) -> Trials | str:
-    """The misses among counts, or why the counts do not tell them."""
+    """The misses among counts, or why the counts cannot show them."""
     if tolerance != NONE_TOLERATED:
         return "counts without order do not tell which misses follow one another"
     try:

@@ -1,4 +1,4 @@
-"""Does a campaign pass? One case for every group of runs alike, and one for whatever was not analysed."""
+"""Does a campaign pass? There is a case for every group of similar runs, and for everything that was not analysed."""
 
 from collections.abc import Container, Iterator
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ NO_DEADLINE = "nothing that was measured has a deadline: give one, as --deadline
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One answer that the gate depends on, with the numbers that it rests on; None where there are none."""
+    """One answer on which the gate depends, with its numbers; None if there are none."""
 
     about: str
     answer: str
@@ -72,12 +72,12 @@ def gate(
     """Judge a study. Only a proof passes: neither too little data nor an emulated board is one.
 
     Measurements on a virtual machine pass only where `platform` is virtual. A proof that needs independent
-    measurements, from counts without order, passes only with `assume_independent`.
-    For boards that are alike, the answer for all of them counts; a single board fails only if it is refuted.
-    A run that failed, is incomplete or was refused does not pass: what it hides is not known. An attempt that a restart
-    of the target cut off is named, and passes when its run was measured again. With `max_page_faults`, no program of a
-    suite may have had more while it measured; with `max_allocations`, the same holds for programs that counted them. A
-    question that asks less than the `goal` of the campaign does not pass.
+    measurements, from counts without order, passes only with `assume_independent`. For boards that are alike, the
+    answer for all of them counts; a single board fails only if it is refuted. A run that failed, is incomplete or was
+    refused does not pass, because it may hide anything. An attempt that a restart of the target cut off is named, and
+    passes if its run was measured again. With `max_page_faults`, no program of a suite may have had more while it
+    measured; with `max_allocations`, the same holds for programs that counted them. A question weaker than the `goal`
+    of the campaign does not pass.
     """
     passing = {Answer.PROVEN, Answer.IF_INDEPENDENT} if assume_independent else {Answer.PROVEN}
     cases = [
@@ -115,7 +115,7 @@ def gate(
 
 
 def _bursts_by_default(study: Study) -> int:
-    """The bursts that a proof of each group covers where bursts are not set."""
+    """The bursts that a proof of each group covers if the question does not set them."""
     return max((group.verdict.bursts_by_default for group in study.answers if group.verdict), default=1)
 
 
@@ -138,7 +138,7 @@ def _allocations(record: RunRecord, most: int) -> Iterator[Case]:
 
 
 def why_not_accepted(measured: Platform, accepted: Platform) -> str | None:
-    """Why a gate for `accepted` does not pass what was measured on a platform; None where it does."""
+    """Why a gate that accepts `accepted` does not pass measurements on a platform; None if it does."""
     if weakest((measured, accepted)) is accepted:
         return None
     if measured is Platform.EMULATED:
@@ -157,7 +157,7 @@ def _case(group: Group, study: Study, passing: Container[str], platform: Platfor
     if verdict is not None:
         reason = "; ".join(filter(None, (reason, startup_in_words(verdict))))
     if is_member and line.answer == Answer.NEEDS_MORE:
-        # The case of all boards together says whether they have measured enough.
+        # The case of all boards together shows whether they have measured enough.
         passed = True
     if passed and not all(record.target.is_identified for record in group.records):
         not_accepted = "of an unknown board: import it with --board"

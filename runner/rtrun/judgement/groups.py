@@ -38,8 +38,8 @@ _ENVIRONMENT = (
 class Group:
     """Runs of one suite with the same parameters on the same target; outputs of one run are neighbours.
 
-    `question` is what they have to answer; None: they have no deadline. A group of several boards has a group for each
-    board as `members`.
+    `question` is the question that they have to answer; None: they have no deadline. A group of several boards has a
+    group for each board as `members`.
     """
 
     suite: str
@@ -76,7 +76,7 @@ class Group:
 
     @property
     def label(self) -> str:
-        """Suite and parameters in a few words; also the series, where its suite is usually judged by another one."""
+        """Suite and parameters in a few words; also the series, if its suite is usually judged by another one."""
         what, others = self.words
         return " ".join(filter(None, [what, format_parameters(others)]))
 
@@ -115,7 +115,7 @@ class Group:
 
     @property
     def clock_step_ns(self) -> int:
-        """The widest clock step that any of it was measured with; 1 where none is known."""
+        """The widest clock step of its measurements; 1 if none is known."""
         return max((one.header.clock_step_ns or 1 for one in self.digests), default=1)
 
     @functools.cached_property
@@ -125,25 +125,26 @@ class Group:
 
 
 def short_names(groups: Sequence[Group]) -> dict[str, str]:
-    """What tells each group from its neighbours, by its key: what it measures, and the parameters that differ."""
+    """The short name of each group, by its key: what it measures, and the parameters that distinguish it from the
+    others."""
     names = tell_apart([group.words for group in groups])
     return {group.key: name for group, name in zip(groups, names, strict=True)}
 
 
 def key_of(target: str, one: JudgedDigest) -> str:
-    """The key of the group of a digest, which is of this target: the same for all digests of a group."""
+    """The key of the group of a digest from this target: the same for all digests of a group."""
     return json.dumps([target, *scenario(one)])
 
 
 def scenario(one: JudgedDigest) -> list[Any]:
-    """What was measured for which deadline, wherever that was."""
+    """What was measured, and for which deadline, on any target."""
     header, deadline_ns = one.header, one.question and one.question.deadline_ns
     telling = sorted(telling_parameters(header.parameters).items())
     return [header.suite, header.series, deadline_ns, one.histogram.bin_ns, telling]
 
 
 def slowest(alike: Sequence[JudgedDigest]) -> list[JudgedDigest]:
-    """The output of each run with the highest value: subscribers of one run peak with the same messages."""
+    """From each run the output with the highest value: subscribers of one run peak at the same messages."""
     worst: dict[str, JudgedDigest] = {}
     for one in alike:
         known = worst.get(one.run)

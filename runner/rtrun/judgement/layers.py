@@ -31,7 +31,7 @@ UNLIKE_IDLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class LayerPair:
-    """A layer, the one above it, and what that adds; where this is not known, `attribution` says why."""
+    """A layer, the one above it, and what the upper one adds; if this is not known, `attribution` says why."""
 
     below: Group
     above: Group
@@ -39,7 +39,7 @@ class LayerPair:
 
 
 def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
-    """All pairs of groups that differ only in the layer; none on an emulated board, whose times say nothing."""
+    """All pairs of groups that differ only in the layer; none for an emulated board, because its times say nothing."""
     differing = differing_in_layer(() if study.platform is Platform.EMULATED else study.groups)
     pairs = []
     for below, above in differing:
@@ -59,7 +59,7 @@ def layer_pairs(study: Study) -> tuple[LayerPair, ...]:
 
 
 def chains(pairs: Sequence[LayerPair]) -> tuple[tuple[LayerPair, ...], ...]:
-    """The pairs whose difference is known, joined to chains: each from a lowest layer to a highest one."""
+    """The pairs whose difference is known, joined into chains, each from a lowest layer to a highest one."""
     known = [pair for pair in pairs if pair.attribution.added]
 
     def upward(group: Group) -> list[tuple[LayerPair, ...]]:
@@ -72,7 +72,7 @@ def chains(pairs: Sequence[LayerPair]) -> tuple[tuple[LayerPair, ...], ...]:
 
 
 def differing_in_layer(groups: Sequence[Group]) -> list[tuple[Group, Group]]:
-    """Each layer with one above it, of groups that are alike in all else."""
+    """Pairs of a layer and one above it, from groups that are alike in all else."""
     measured = [group for group in groups if group.n]
     return [
         (below, above)
@@ -94,7 +94,7 @@ def _is_layer_below(below: Group, above: Group) -> bool:
         )
     if kind.layer_below in KINDS:
         return kind_of(below.suite) is KINDS[kind.layer_below] and under == over and _is_one_event(above)
-    # A middleware that stands on another one has that below it, not the baseline.
+    # Below a middleware that stands on another one is that one, not the baseline.
     return below.suite == kind.layer_below and not stands_on and _is_one_event(above)
 
 
@@ -112,12 +112,13 @@ def _differ_in_layer_alone(low: Group, high: Group) -> bool:
 
 
 def _kept_awake(group: Group) -> object:
-    """How idle CPUs were kept awake: by which latency, or in which deepest idle state; None twice: they were not."""
+    """How idle CPUs were kept awake: the latency, and the deepest idle state; both are None if they were not."""
     return group.parameters.get("cpu_dma_latency_us"), group.parameters.get("deepest_idle_state")
 
 
 def _others(group: Group) -> dict[str, object]:
-    """Parameters that belong to both layers and are not the default: a suite without an option has its default."""
+    """Parameters that belong to both layers and are not the default (a suite without an option behaves as with its
+    default)."""
     known = options()
     return {
         key: value

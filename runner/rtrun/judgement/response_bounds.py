@@ -1,4 +1,4 @@
-"""Measured responses of periodic nodes beside the bound of response-time analysis, and what it means to exceed it."""
+"""Measured responses of periodic nodes, the bound of response-time analysis, and what it means to exceed that."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,9 +19,9 @@ _NAMED = 4
 class NodeBound:
     """A node with its measured worst response and the bound on it, ns.
 
-    The bound holds if the measured maxima are the true ones: the CPU time of each node, and `wakes_ns`, how late the
-    node of this CPU began that no other comes before. `why_not` says why there is no bound. Where a response is above
-    the bound, `broken` says which assumption was seen not to hold.
+    The bound holds if the measured maxima are the true ones: the CPU time of each node, and `wakes_ns`, the lateness of
+    the first node of this CPU, before which no other runs. `why_not` says why there is no bound. If a response is above
+    the bound, `broken` names the assumption that was seen not to hold.
     """
 
     node: str
@@ -56,7 +56,7 @@ def _bound(of: MeasuredTopology, node: TopologyNode) -> NodeBound:
         return replace(known, why_not=why_not)
     costs = {name: each.cpu.max_ns or 0 for name, each in figures.items()}
     task, *others = (
-        # The nodes that come before are known, so it does not matter how much higher their priority is.
+        # The nodes that run before are known, so it does not matter how much higher their priority is.
         PeriodicTask(
             name=each.name,
             period_ns=each.period_ns,
@@ -75,7 +75,7 @@ def _bound(of: MeasuredTopology, node: TopologyNode) -> NodeBound:
 
 
 def _before(topology: Topology, node: TopologyNode) -> Iterator[TopologyNode]:
-    """The other nodes that may come before a node on its CPU: of its priority or above, also of its own thread."""
+    """The other nodes that may run before a node on its CPU: those of its priority or above, also of its own thread."""
     own = topology.executor[node.executor]
     for other in topology.nodes:
         executor = topology.executor[other.executor]
@@ -97,7 +97,7 @@ def _why_not(known: NodeBound, executor: Executor, before: Sequence[TopologyNode
 
 
 def _wakes_ns(topology: Topology, executor: Executor, figures: Mapping[str, NodeFigures]) -> int:
-    """How late a thread of these CPUs is woken at worst: the lateness of a node that no other comes before."""
+    """How late a thread of these CPUs is woken at worst: the lateness of a node before which no other runs."""
     alone = (
         node
         for node in topology.nodes

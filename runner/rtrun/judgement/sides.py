@@ -39,8 +39,8 @@ def names_of_sides(study: Study, by: By) -> list[str]:
 def split(study: Study, by: By | None = None, names: Sequence[str] = ()) -> tuple[tuple[str, str], tuple[Study, Study]]:
     """The names of two sides and what each of them measured. `names` chooses two where there are more.
 
-    Without `by` the sides are variants where there are some, else kernels. A parameter in which the two sides have no
-    value in common makes the side, so it is removed from their groups. Groups that differ only in it then have the same
+    Without `by` the sides are variants if there are any, else kernels. A parameter in which the two sides have no value
+    in common is part of the side, so it is removed from their groups; groups that differ only in it then have the same
     parameters. Raises UsageError when there are no two sides.
     """
     if by is None:

@@ -11,13 +11,14 @@ from rtrun.results.record import is_closed
 
 
 def standings(study: Study) -> tuple[Standing, ...]:
-    """How far each group of a study is, groups of alike boards before those of each board."""
+    """The standing of each group of a study, groups of similar boards before those of each board."""
     times_s = {record.run: record.duration_s for record in study.records}
     return tuple(_standing(group, study, times_s) for group in study.answers)
 
 
 def evaluator(results: Path, goal: Goal) -> Callable[[], tuple[Standing, ...]]:
-    """A function that reads the answers of a campaign from its results so far; a closed run is read only once."""
+    """Return a function that reads the answers of a campaign from its results so far. It reads a closed run only
+    once."""
     known: Known = {}
 
     def evaluate() -> tuple[Standing, ...]:

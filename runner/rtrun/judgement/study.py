@@ -1,4 +1,4 @@
-"""A folder of runs, examined: groups of runs alike with their verdicts, and all that the formats write down."""
+"""A folder of runs, examined: groups of similar runs with their verdicts, and all that the formats write."""
 
 import functools
 import json
@@ -33,7 +33,7 @@ from rtrun.results.record import RunRecord, RunStatus, read_record
 from rtrun.results.series import Header, read_file
 from rtrun.targets.inspection.platform import Platform
 
-# The digests of a run directory, by the loops that are left out of their trials as start-up.
+# The digests of a run directory, by the number of loops that are left out of their trials as start-up.
 Known = dict[tuple[Path, int], tuple[Digest, ...]]
 
 
@@ -66,11 +66,11 @@ class Study:
         return frozenset(member.key for group in self.pooled for member in group.members)
 
     def name(self, group: Group) -> str:
-        """The label of a group, with its board where the study has several."""
+        """The label of a group, with its board if the study has several."""
         return group.label + self._on(group)
 
     def short_name(self, group: Group) -> str:
-        """What tells a group from its neighbours in the study, with its board where the study has several."""
+        """The name that distinguishes a group from others of the study, with its board if the study has several."""
         return self._short_names[group.key] + self._on(group)
 
     @functools.cached_property
@@ -98,13 +98,13 @@ class Study:
 
     @property
     def asked(self) -> Question:
-        """The question; it names the series that its groups are judged by, where that is the same for all."""
+        """The question; it names the series by which its groups are judged, if that is the same for all."""
         of = {group.of for group in self.groups}
         return replace(self.question, of=of.pop() if len(of) == 1 else None)
 
     @property
     def deadlines_ns(self) -> tuple[int, ...]:
-        """The deadlines that its groups have, ascending; where none has one, that of the question, if it has one."""
+        """The deadlines of its groups, ascending; if none has one, that of the question, if any."""
         of_groups = {group.question.limit_ns for group in self.groups if group.question}
         return tuple(sorted(of_groups or filter(None, [self.question.deadline_ns])))
 
@@ -147,10 +147,9 @@ def study(
 ) -> Study:
     """Examine what is at a path: a folder of runs, one run, a log or an npy.
 
-    `known` holds the runs of an earlier call for the same question and is extended: they are not read again. It does
-    not hold what only bounds and comparisons need.
-    Raises UsageError when there is nothing to examine, or runs of several platforms; ``left_out`` names runs that are
-    refused.
+    `known` holds the runs of earlier calls for the same question, which are not read again, and gets the new ones. It
+    lacks what only bounds and comparisons need. Raises UsageError when there is nothing to examine, or runs of several
+    platforms; ``left_out`` names runs that are refused.
     """
     source = reading.find_source(path)
     of_file = question if question.deadline_ns else None
@@ -202,7 +201,7 @@ def study(
 
 
 def _same_measurements(digests: Sequence[JudgedDigest]) -> dict[str, str]:
-    """Runs of one kind, by name, that hold what another one holds, each with a line that names both."""
+    """Runs of one kind that hold the measurements of another one, by name, each with a line that names both."""
     counts: dict[str, list[tuple[str, Histogram]]] = {}
     places: dict[str, list[tuple[str, Trials]]] = {}
     for one in digests:
@@ -229,9 +228,9 @@ def _same_measurements(digests: Sequence[JudgedDigest]) -> dict[str, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Basis:
-    """What every group of a study is judged with: the question, the records by run, and what was attempted beside.
+    """What the judgement of every group needs: the question, the records by run, and lost attempts.
 
-    `read_again` gives the digests of a run without so many first loops in their trials.
+    `read_again` gives the digests of a run with so many first loops left out of their trials.
     """
 
     question: Question
@@ -242,7 +241,7 @@ class _Basis:
 
 @dataclass(frozen=True, kw_only=True)
 class _DigestedRun:
-    """The complete series of a run, and a line for each part left out: the whole run where it is `unreadable`."""
+    """The complete series of a run, and a line for each part left out; if it is `unreadable`, that is the whole run."""
 
     digests: tuple[Digest, ...] = ()
     left_out: tuple[str, ...] = ()
@@ -252,7 +251,7 @@ class _DigestedRun:
 def _read_records(folders: Sequence[Path]) -> tuple[dict[Path, RunRecord], dict[Path, str]]:
     """The records of run directories, and why others are refused.
 
-    Runs of one name, measured into several folders and put together here, take the names of their folders.
+    If runs of one name from several folders were put together here, they take the names of their folders.
     """
     records, refused = {}, {}
     for folder in showing_progress(folders, "reading run"):
@@ -304,7 +303,7 @@ def _check_platform(path: Path, digests: Sequence[Digest]) -> None:
 
 
 def _check_of(path: Path, records: Iterable[RunRecord], question: Question) -> None:
-    """Refuse a question about what no run measures; if only some runs do not, they are left out when read."""
+    """Refuse a question about a series that no run measures; if only some runs lack it, they are left out when read."""
     wrong: dict[str, str] = {}
     suites = {record.suite for record in records}
     for suite in sorted(suites):
@@ -326,7 +325,7 @@ def _grouped(digests: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) ->
 
 
 def _pooled(groups: Sequence[Group], basis: _Basis) -> Iterator[Group]:
-    """Yield one group for those measured on several boards in the same environment; boards are its clusters.
+    """Yield one group for the groups of several boards in the same environment; boards are its clusters.
 
     The environment of imported files is not known.
     """
@@ -366,7 +365,7 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
 
 
 def _without_startup(alike: Sequence[JudgedDigest], basis: _Basis) -> tuple[Sequence[JudgedDigest], StartUp | None]:
-    """The digests, with the start-up that their runs have in common left out of their trials; and that start-up."""
+    """The digests without the common start-up of their runs in the trials, and that start-up."""
     by_run: dict[str, list[JudgedDigest]] = {}
     for one in alike:
         by_run.setdefault(one.run, []).append(one)
@@ -381,7 +380,7 @@ def _startup_loops(one: JudgedDigest) -> int:
 
 
 def _read_again(one: JudgedDigest, startup_loops: int, basis: _Basis) -> JudgedDigest:
-    """The same series without so many first loops in its trials. Raises UsageError when it is gone."""
+    """The same series with `startup_loops` first loops left out of its trials. Raises UsageError when it is gone."""
     series = one.header.output, one.header.series
     for again in basis.read_again(one.run, startup_loops):
         if isinstance(again, JudgedDigest) and (again.header.output, again.header.series) == series:

@@ -1,4 +1,4 @@
-"""The topologies of a study: runs of one graph under the same circumstances taken together."""
+"""The topologies of a study: runs of one graph under the same circumstances are combined."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class MeasuredTopology:
 
     @property
     def critical(self) -> PathFigures | None:
-        """The path that matters in `shown`; None: none was measured."""
+        """The critical path in `shown`; None: no path was measured."""
         return _critical(self.shown)
 
 
@@ -54,7 +54,7 @@ def measured_topologies(study: Study) -> tuple[MeasuredTopology, ...]:
 
 
 def _label(record: RunRecord) -> str:
-    """Which topology, through what, under which circumstances, and where."""
+    """Which topology, through which middleware, under which circumstances, and on which target."""
     told = telling_parameters(record.circumstances)
     through = f"{told.pop('topology', '')} through {told.pop('middleware', '')}"
     return f"{' '.join(filter(None, (through, format_parameters(told))))} on {record.target.name}"
@@ -91,7 +91,8 @@ def _longest_ns(found: TopologyRecord) -> int:
 
 
 def _critical(found: TopologyRecord) -> PathFigures | None:
-    """The path whose reaction is the largest part of its deadline; where none has one, the longest reaction."""
+    """The path whose reaction is the largest part of its deadline; if none has a deadline, that of the longest
+    reaction."""
     deadlines = {each.name: each for each in own_deadlines(found.topology) if each.stream is PATH}
     measured = [path for path in found.paths if path.reaction.max_ns is not None]
     with_deadline = [path for path in measured if ",".join(path.topics) in deadlines]

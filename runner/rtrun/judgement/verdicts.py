@@ -17,7 +17,7 @@ from rtrun.plan.question import NONE_TOLERATED, STALL_NS, UNKNOWN_PERIOD_NS
 # Fewer boots say too little about how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
 _LOST_SHOWN = 3
-# The order in which a reader has to see the answers.
+# The order in which answers are shown.
 WORST_FIRST = (
     *(Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN),
     *(Answer.NO_STATEMENT, Answer.NO_DEADLINE),
@@ -45,7 +45,7 @@ def severity(answer: str, worst_ns: int | None) -> tuple[int, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class VerdictLine:
-    """A verdict: its answer, what it is about, and the numbers."""
+    """A verdict in one line: its answer, its subject, and the numbers."""
 
     answer: str
     about: str
@@ -53,7 +53,7 @@ class VerdictLine:
 
 
 def verdict_line(group: Group, name: str = "") -> VerdictLine:
-    """The verdict of a group in one line; `name` is what it is called, its label where none is given."""
+    """The verdict of a group in one line; `name` is the group's name, by default its label."""
     verdict, about = group.verdict, printable(name or group.label)
     if verdict is None:
         answer = Answer.NEEDS_MORE if group.question else Answer.NO_DEADLINE
@@ -74,7 +74,7 @@ def _numbers(verdict: Verdict, group: Group) -> str:
 
 
 def sentences(verdict: Verdict) -> list[str]:
-    """The numbers that a verdict rests on, what it holds for, and what it lacks."""
+    """The numbers of a verdict, what it holds for, and what it lacks."""
     what = "late" if verdict.question.tolerance == NONE_TOLERATED else "windows hold too many misses"
     parts = [f"{grouped(verdict.late)} of {grouped(verdict.n)} {what}"]
     if verdict.absent:
@@ -111,7 +111,7 @@ def _chance(p_value: float) -> str:
 
 
 def startup_in_words(verdict: Verdict) -> str:
-    """The start-up that is left out of a verdict, which holds for what follows; empty where there is none."""
+    """The start-up that a verdict leaves out; empty if there is none."""
     startup = verdict.startup
     if startup is None:
         return ""
@@ -127,7 +127,7 @@ def startup_in_words(verdict: Verdict) -> str:
 
 
 def hidden_in_words(verdict: Verdict) -> str:
-    """Attempts without values, and time that load hid, which count as late; empty where there are none."""
+    """Attempts without values, and time that load hid, both of which count as late; empty if there are none."""
     parts = []
     if verdict.lost:
         total = verdict.runs + len(verdict.lost)
@@ -143,7 +143,7 @@ def hidden_in_words(verdict: Verdict) -> str:
 
 
 def _episodes(verdict: Verdict) -> str:
-    """How often episodes of misses come, and how long they last; empty where neither is known."""
+    """How often episodes of misses come, and how long they last; empty if neither is known."""
     found = verdict.episodes
     if found is None or (found.per_hour_at_most is None and not found.seen):
         return ""
@@ -161,7 +161,7 @@ def _episodes(verdict: Verdict) -> str:
 
 
 def bound_text(verdict: Verdict | None) -> str:
-    """The bound of P(miss) that decides, for a table; a dash where none can be given."""
+    """The deciding bound of P(miss), for a table; a dash if there is none."""
     if verdict is None or verdict.refused or (verdict.answer == Answer.NEEDS_MORE and _has_no_rate(verdict)):
         return "-"
     is_refuted = verdict.answer == Answer.REFUTED
@@ -169,7 +169,7 @@ def bound_text(verdict: Verdict | None) -> str:
 
 
 def _has_no_rate(verdict: Verdict) -> bool:
-    """Whether what was measured has no one rate of misses, or what it hides is not known."""
+    """Whether the measurements have no single rate of misses, or hide an unknown part."""
     return verdict.change is not None or bool(hidden_in_words(verdict))
 
 
@@ -195,7 +195,7 @@ def scope_in_short(verdict: Verdict) -> str:
 
 
 def boots_in_words(verdict: Verdict) -> str:
-    """Which boots, or boards, a verdict is about."""
+    """The boots, or boards, that a verdict is about."""
     if verdict.boards > 1:
         return f"for the {verdict.boards} boards together"
     if verdict.boots is None:
@@ -206,7 +206,7 @@ def boots_in_words(verdict: Verdict) -> str:
 
 
 def held_for(verdict: Verdict) -> str:
-    """The bursts that a verdict holds for, if nothing else is missing."""
+    """The bursts for which a verdict holds, if nothing else is missing."""
     whole = math.floor(verdict.longest_burst)
     return f"bursts of up to {grouped(whole)} misses" if whole > 1 else "misses that come singly"
 
@@ -218,20 +218,20 @@ def is_short_of_bursts(verdict: Verdict) -> bool:
 
 
 def is_likely_refuted(verdict: Verdict) -> bool:
-    """Whether it is refuted, or will be if misses go on at the rate seen."""
+    """Whether it is refuted, or will be if misses continue at the rate seen."""
     likely = verdict.further_likely if verdict.change is None else None
     return verdict.answer is Answer.REFUTED or (likely is not None and likely[0] is Answer.REFUTED)
 
 
 def answer_to(group: Group, probability: float) -> str:
-    """The answer of a group to the same question about another probability; its own where it cannot be judged."""
+    """The answer of a group to the same question about another probability; its own answer if it cannot be judged."""
     if group.account is None or group.verdict is None:
         return verdict_line(group).answer
     return judge(group.account, replace(group.verdict.question, probability=probability)).answer
 
 
 def _covered(verdict: Verdict) -> str:
-    """The bursts that a proof covers by default, and why; empty where the question names them."""
+    """The bursts that a proof covers by default, and why; empty if the question names them."""
     bursts = verdict.bursts
     long = f"bursts of {grouped(bursts.length)} misses" if bursts.length > 1 else "a single miss"
     match bursts.why:
@@ -247,7 +247,7 @@ def _covered(verdict: Verdict) -> str:
 
 
 def _of_whom(verdict: Verdict) -> list[str]:
-    """The boots, boards and hours that an answer holds for, and those that are unknown to it."""
+    """The boots, boards and hours for which an answer holds, and those that it does not know."""
     return _boots(verdict) + [words for each in verdict.unlike if (words := _unlike_in_words(each))]
 
 
@@ -288,7 +288,7 @@ def _reached_in_words(climb: Climb) -> str:
 
 
 def _unseen_in_words(climb: Climb) -> str:
-    """The climb that so few units would not have shown."""
+    """The largest climb that so few units may not have shown."""
     if climb.smallest_ns is None and climb.units >= LEAST_UNITS:
         return f"{climb.unit}s of such lengths, or so alike, do not show how small a climb they would have shown"
     if climb.smallest_ns is None:
@@ -338,6 +338,6 @@ def _more(verdict: Verdict) -> list[str]:
 
 
 def amount(verdict: Verdict, count: int, what: str = "more measurements") -> str:
-    """How many are missing, and how long they take to measure, where that is known."""
+    """How many measurements are missing, and how long they take, if that is known."""
     hours = verdict.hours(count)
     return f"{grouped(count)} {what}" + ("" if hours is None else f" ({duration(hours * 3600)})")
