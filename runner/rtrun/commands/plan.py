@@ -266,7 +266,7 @@ def _default_in_words(goal: "Goal", groups: "Sequence[Run]") -> str:
         return ""
     least, most = (choose(_lengths_of_bursts(goal, groups)) for choose in (min, max))
     length = f"{least}" if least == most else f"{least} to {most}"
-    return f" (bursts of {length}, the default)" if most > 1 else " (a single miss, the default)"
+    return f" ({length} misses in a row, the default)" if most > 1 else " (a single miss, the default)"
 
 
 def _observed_goal_line(goal: "Goal", deadlines: "Sequence[StreamDeadline]") -> str:

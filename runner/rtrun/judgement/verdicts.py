@@ -17,6 +17,7 @@ from rtrun.plan.question import NONE_TOLERATED, STALL_NS, UNKNOWN_PERIOD_NS
 # Fewer boots say too little about how boots differ: Student's t widens by more than twice (docs/analysis.md).
 ENOUGH_BOOTS = 5
 _LOST_SHOWN = 3
+AS_OFTEN = "if misses stay as frequent"
 # The order in which answers are shown.
 WORST_FIRST = (
     *(Answer.REFUTED, Answer.NEEDS_MORE, Answer.IF_INDEPENDENT, Answer.PROVEN),
@@ -24,18 +25,19 @@ WORST_FIRST = (
 )
 
 
-_MET = {
-    Answer.REFUTED: "not met in {}",
-    Answer.PROVEN: "met in {}",
-    Answer.IF_INDEPENDENT: "met in {} unless late values come in bursts",
-    Answer.NEEDS_MORE: "not known yet in {}",
-    Answer.NO_STATEMENT: "no statement in {}",
+_COUNTED = {
+    Answer.REFUTED: "{no} in {n}",
+    Answer.PROVEN: "{yes} in {n}",
+    Answer.IF_INDEPENDENT: "{yes} in {n} unless late values come in bursts",
+    Answer.NEEDS_MORE: "not known yet in {n}",
+    Answer.NO_STATEMENT: "no statement in {n}",
 }
 
 
-def counts_in_words(answers: Sequence[str]) -> str:
+def counts_in_words(answers: Sequence[str], yes: str = "met", no: str = "not met") -> str:
     """In how many scenarios a deadline is met; those without a deadline do not count."""
-    return ", ".join(words.format(answers.count(each)) for each, words in _MET.items() if each in answers)
+    counts = {each: answers.count(each) for each in _COUNTED}
+    return ", ".join(_COUNTED[each].format(yes=yes, no=no, n=n) for each, n in counts.items() if n)
 
 
 def severity(answer: str, worst_ns: int | None) -> tuple[int, float]:
@@ -191,6 +193,8 @@ def scope_in_short(verdict: Verdict) -> str:
         return f"{boots_in_words(verdict)}{share}, unless late values come in bursts"
     whole = math.floor(verdict.longest_burst)
     bursts = f"even if late values come {grouped(whole)} in a row" if whole > 1 else "if late values come singly"
+    if whole <= 1 and verdict.bursts.why == "stall":
+        bursts += f" (a burst of {time(STALL_NS)} has one)"
     return f"{boots_in_words(verdict)}{share}, {bursts}"
 
 
@@ -233,17 +237,17 @@ def answer_to(group: Group, probability: float) -> str:
 def _covered(verdict: Verdict) -> str:
     """The bursts that a proof covers by default, and why; empty if the question names them."""
     bursts = verdict.bursts
-    long = f"bursts of {grouped(bursts.length)} misses" if bursts.length > 1 else "a single miss"
+    long = f"{grouped(bursts.length)} misses in a row" if bursts.length > 1 else "a single miss"
     match bursts.why:
         case "asked":
             return ""
         case "stall":
-            return f"a stall of {time(STALL_NS)} ({long}, the default)"
+            return f"bursts of {time(STALL_NS)} ({long}, the default)"
         case "longest seen":
             return f"the longest burst that was seen ({long}, the default)"
         case "period not known":
             unknown = f"the period is not known and counts as {time(UNKNOWN_PERIOD_NS)}"
-            return f"a stall of {time(STALL_NS)} ({long}, the default; {unknown})"
+            return f"bursts of {time(STALL_NS)} ({long}, the default; {unknown})"
 
 
 def _of_whom(verdict: Verdict) -> list[str]:
@@ -324,17 +328,24 @@ def _more(verdict: Verdict) -> list[str]:
     if verdict.bursts.length > 1:
         parts.append(f"has to cover {_covered(verdict) or verdict.question.covered}")
     if verdict.further:
-        chance = "" if verdict.misses else f" (chance that none comes: {100 * verdict.further_chance:.0f} %)"
         parts.append(
-            f"{amount(verdict, verdict.further)} prove it without {'another' if verdict.misses else 'a'} miss{chance}"
+            f"{amount(verdict, verdict.further)} prove it {if_no_miss_comes(verdict)}"
             + (", if dependence stays as seen" if verdict.design_effect > 1.005 else "")
         )
     if verdict.further_likely is not None and verdict.further_likely[1]:
         answer, count = verdict.further_likely
-        parts.append(f"at the rate seen, {answer} after {amount(verdict, count)} nine times in ten")
+        parts.append(f"{AS_OFTEN}, {answer} after {amount(verdict, count)} nine times in ten")
     elif verdict.misses and verdict.further_likely is None:
-        parts.append("at the rate seen, no number is likely to decide it")
+        parts.append(f"{AS_OFTEN}, no number is likely to decide it")
     return parts
+
+
+def if_no_miss_comes(verdict: Verdict) -> str:
+    """On which condition `further` measurements prove it, and how likely that is where no miss was seen."""
+    if verdict.misses:
+        return "if no other miss comes"
+    chance = f" ({percent(verdict.further_chance)} likely)" if verdict.further_chance < 0.995 else ""
+    return f"if no miss comes{chance}"
 
 
 def amount(verdict: Verdict, count: int, what: str = "more measurements") -> str:

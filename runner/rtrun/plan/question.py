@@ -104,8 +104,13 @@ class Question:
     def covered(self) -> str:
         """The bursts that a proof has to cover, in words."""
         if self.bursts is None:
-            return f"a stall of {time(STALL_NS)}"
+            return f"bursts of {time(STALL_NS)}"
         return f"bursts of up to {grouped(self.bursts)} misses" if self.bursts > 1 else "misses that come singly"
+
+    @property
+    def in_bursts(self) -> str:
+        """The bursts of misses in spite of which a proof has to hold, in words."""
+        return "if late values come singly" if self.bursts == 1 else f"even if late values come in {self.covered}"
 
     @property
     def miss(self) -> str:

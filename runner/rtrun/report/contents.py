@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rtfiles.output import counted, printable
 from rtfiles.quantities import duration, grouped, time
-from rtrun.analysis.deadline import Answer
+from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.causes.ranking import Ranking
 from rtrun.judgement.layers import layer_pairs
 from rtrun.judgement.study import Study
@@ -22,7 +22,9 @@ from rtrun.report.terminal import banner_of
 from rtrun.targets.inspection.facts import fact_text
 from rtrun.targets.inspection.platform import Platform
 
-MEASURE_AGAIN = "was something else busy? Stop it and measure again, or measure longer"
+MEASURE_AGAIN = (
+    "the plots of the report show when; was something else busy? Stop it and measure again, or measure longer"
+)
 """What to do about an answer that a change prevents."""
 
 
@@ -89,8 +91,7 @@ def _question(study: Study) -> str:
     if study.groups and not any(group.question for group in study.groups):
         return "What follows are figures alone: which values are late, a deadline says."
     asked = study.asked
-    bursts = f"covering {asked.covered}" if asked.bursts != 1 else ""
-    return f"Asked: {', '.join(filter(None, (study.asked_in_full, 'two-sided', asked.on_boots, bursts)))}."
+    return f"Asked: {', '.join(filter(None, (study.asked_in_full, 'two-sided', asked.on_boots, asked.in_bursts)))}."
 
 
 def _answer(study: Study, made: Sequence[Scenario]) -> str:
@@ -113,7 +114,7 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
         failed = of_total.format(counts[Answer.REFUTED]) + _others(made, Answer.REFUTED)
         return f"{deadline.capitalize()} is not met{failed}{asked}"
     if counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
-        condition = ", if measurements are independent" if counts[Answer.IF_INDEPENDENT] else ""
+        condition = ", unless late values come in bursts" if counts[Answer.IF_INDEPENDENT] else ""
         return (
             f"{deadline.capitalize()} is met in {_all(total)}{condition}: {study.asked_in_words}, "
             f"{_for_which_boots(made)}{hidden}."
@@ -122,7 +123,15 @@ def _answer(study: Study, made: Sequence[Scenario]) -> str:
         reasons = dict.fromkeys(one.group.verdict.refused or "" for one in made if one.group.verdict)
         return f"No statement about {deadline} in any scenario: {'; '.join(reasons)}{hidden}."
     open_ = of_total.format(counts[Answer.NEEDS_MORE]) + _others(made, Answer.NEEDS_MORE)
-    return f"It is not decided whether {deadline} is met{open_}{asked}"
+    undecided = f"t is not decided whether {deadline} is met{open_}{asked}"
+    changed = {verdict and verdict.change and verdict.change.what for verdict in _open(made)}
+    why = changed.pop() if len(changed) == 1 else None
+    return f"{why.capitalize()}, so i{undecided}" if why else f"I{undecided}"
+
+
+def _open(made: Sequence[Scenario]) -> list[Verdict | None]:
+    """The verdicts that decide nothing; None where there is not even one."""
+    return [one.group.verdict for one in made if one.answer == Answer.NEEDS_MORE]
 
 
 def _others(made: Sequence[Scenario], answer: Answer) -> str:

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from rtfiles.output import counted
 from rtfiles.quantities import at_least_in, at_most_in, duration, grouped, time
 from rtrun.analysis.deadline import Answer, Verdict
-from rtrun.analysis.order.stationarity import UNSTEADY
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import (
+    AS_OFTEN,
     counts_in_words,
     hidden_in_words,
     is_short_of_bursts,
@@ -27,7 +27,7 @@ def headline(study: Study, made: Sequence[Scenario]) -> str:
     missed = sum(bool(one.group.verdict and one.group.verdict.misses) for one in judged)
     tests = counted(len(judged), "test")
     deadline = time(study.deadlines_ns[0]) if len(study.deadlines_ns) == 1 else "A deadline"
-    which = "never missed in" if not missed else "missed in"
+    which = "never missed in" if not missed else "missed at least once in"
     if missed and len(judged) > 1:
         which += " all" if missed == len(judged) else f" {missed} of"
     sure = f"{100 * study.question.confidence:g} % sure"
@@ -97,8 +97,7 @@ def _open(verdict: Verdict, most: str) -> list[str]:
     if hidden := hidden_in_words(verdict):
         return [f"no rate can be given: {hidden}"]
     if verdict.change is not None:
-        what = verdict.change.what.replace(UNSTEADY, "values changed while it was measured")
-        return [f"no rate can be given: {what} ({verdict.change.text})"]
+        return [f"{verdict.change.what}, so no rate can be given ({verdict.change.text})"]
     decided = verdict.decided_after
     if decided is not None and decided[0] is Answer.REFUTED:
         return [f"probably too many; {_measuring(verdict, decided[1])} would prove that"]
@@ -106,11 +105,11 @@ def _open(verdict: Verdict, most: str) -> list[str]:
     if is_short_of_bursts(verdict):
         longest = int(verdict.longest_burst)
         parts = [f"{most} if {f'no more than {longest} come in a row' if longest > 1 else 'they come singly'}"]
-        prove = f"prove it for {verdict.bursts.length} in a row"
+        prove = f"prove it even if they come {verdict.bursts.length} in a row"
     if verdict.boots_missing:
         parts.append(f"{counted(verdict.boots_missing, 'more boot')} missing")
     if decided is None:
-        parts.append("at this rate, no number of measurements is likely to decide it")
+        parts.append(f"{AS_OFTEN}, more measuring is not likely to decide it")
     elif decided[1]:
         how = "probably" if verdict.misses else "without a late one"
         parts.append(f"{_measuring(verdict, decided[1])} {how} {prove}")
@@ -123,6 +122,6 @@ def _measuring(verdict: Verdict, count: int) -> str:
 
 
 def answers_in_words(answers: Sequence[str], probability: str) -> str:
-    """How many tests meet a question: "At most 1 in 100 late? Met in 3, not met in 1."."""
-    met = counts_in_words(answers)
+    """How many tests meet a question: "At most 1 in 100 late? No in 1, yes in 3."."""
+    met = counts_in_words(answers, "yes", "no")
     return f"At most {probability} late? {met[:1].upper()}{met[1:]}."

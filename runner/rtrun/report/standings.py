@@ -12,10 +12,12 @@ from rtrun.analysis.standing import Standing
 from rtrun.execution.goal import Progress
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import (
+    AS_OFTEN,
     amount,
     bound_text,
     held_for,
     hidden_in_words,
+    if_no_miss_comes,
     is_short_of_bursts,
     scope_in_short,
     startup_in_words,
@@ -27,8 +29,7 @@ from rtrun.report.tables import Table
 def question(study: Study) -> str:
     """The question that is answered."""
     asked = study.question
-    bursts = "if misses come singly" if asked.bursts == 1 else f"even with {asked.covered}"
-    return f"asked: {', '.join(filter(None, (study.asked_in_full, asked.on_boots, bursts)))}"
+    return f"asked: {', '.join(filter(None, (study.asked_in_full, asked.on_boots, asked.in_bursts)))}"
 
 
 def table(standings: Sequence[Standing]) -> Table:
@@ -91,7 +92,7 @@ def progress_line(progress: Progress, goal: Goal) -> str:
 def _remaining(left_s: float | None, verdict: Verdict) -> str:
     if verdict.change is not None:
         return _changed(verdict.change)
-    return "no end in sight at the rate seen" if left_s is None else f"about {duration(left_s)} left"
+    return f"no end in sight {AS_OFTEN}" if left_s is None else f"about {duration(left_s)} left"
 
 
 def _changed(change: Change) -> str:
@@ -120,15 +121,13 @@ def missing(standing: Standing) -> str:
     if is_short_of_bursts(verdict):
         parts.append(f"for {held_for(verdict)} it already holds")
     if verdict.decided_after is None:
-        parts.append("at the rate seen, no number is likely to decide it")
+        parts.append(f"{AS_OFTEN}, no number is likely to decide it")
         return "; ".join(parts)
     answer, further = verdict.decided_after
     if further and verdict.misses:
-        parts.append(f"{amount(verdict, further, 'more')} at the rate seen, then {answer}")
+        parts.append(f"{AS_OFTEN}, {amount(verdict, further, 'more')}, then {answer}")
     elif further:
-        percents = f"{100 * verdict.further_chance:.0f} %"
-        chance = f" (chance that none comes: {percents})" if verdict.further_chance < 0.995 else ""
-        parts.append(f"{amount(verdict, further, 'more')} without a miss{chance}")
+        parts.append(f"{amount(verdict, further, 'more')} prove it {if_no_miss_comes(verdict)}")
     return "; ".join(parts)
 
 

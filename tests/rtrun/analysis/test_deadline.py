@@ -169,7 +169,7 @@ def test_the_longest_burst_that_a_proof_holds_for() -> None:
 def test_misses_that_gather_at_the_end_prove_nothing() -> None:
     judged = verdict(count_misses(with_misses(50_000, 48_000, 48_700, 49_300, 49_999), DEADLINE))
     assert judged.upper < 1e-3 and judged.answer == Answer.NEEDS_MORE
-    assert judged.change is not None and "4 of the 4 misses lie in the last 4 %" in judged.change.text
+    assert judged.change is not None and "all 4 misses lie in the last 4 %" in judged.change.text
 
 
 def test_values_that_rise_prove_nothing() -> None:

@@ -41,18 +41,18 @@ def test_the_answer_says_what_it_covers_and_for_what_it_already_holds():
         timed = [replace(each, episodes=find_episodes(each.missed_at, each.n, period_ns)) for each in measured]
         return "; ".join(sentences(judge(Account(timed, period_ns=period_ns), question)))
 
-    default = "a stall of 10 ms (bursts of 10 misses, the default)"
+    default = "bursts of 10 ms (10 misses in a row, the default)"
     assert f"for misses that come singly it already holds; has to cover {default}; 32 8" in said(trials(4000))
     assert f"for bursts of up to 5 misses it already holds; has to cover {default}; 16 8" in said(trials(20_000))
     short = said(trials(1000))
     assert "already holds" not in short and f"has to cover {default}; 35 8" in short
     assert "holds for bursts of up to 27 misses (without a miss, 84 4" in said(trials(100_000))
     assert f"covers {default}" in said(trials(100_000))
-    assert "covers a stall of 10 ms (a single miss, the default)" in said(trials(4000), period_ns=20e6)
+    assert "covers bursts of 10 ms (a single miss, the default)" in said(trials(4000), period_ns=20e6)
     unknown = said(trials(100_000), period_ns=None)
-    assert "a stall of 10 ms (bursts of 10 misses, the default; the period is not known and counts as 1 ms)" in unknown
+    assert "bursts of 10 ms (10 misses in a row, the default; the period is not known and counts as 1 ms)" in unknown
     seen = said(trials(200_000, *range(500, 512)))
-    assert "covers the longest burst that was seen (bursts of 12 misses, the default)" in seen
+    assert "covers the longest burst that was seen (12 misses in a row, the default)" in seen
     assert "(1 seen, the longest of 12 misses within 12 ms)" in seen
     stated = said(trials(4000), replace(QUESTION, bursts=20))
     assert "for misses that come singly it already holds; has to cover bursts of up to 20 misses" in stated
@@ -67,15 +67,15 @@ ADDED = "for the system measure on 5 boots or more"
 @pytest.mark.parametrize(
     ("measured", "question", "said"),
     [
-        (trials(0), QUESTION, "3 688 more measurements (4 s) prove it without a miss (chance that none comes: 0 %)"),
+        (trials(0), QUESTION, "3 688 more measurements (4 s) prove it if no miss comes (0 % likely)"),
         (
             trials(1000),
             QUESTION,
-            "2 688 more measurements (3 s) prove it without a miss (chance that none comes: 52",
+            "2 688 more measurements (3 s) prove it if no miss comes (52 % likely)",
         ),
-        (trials(4000, 2000), QUESTION, "prove it without another miss; at the rate seen, PROVEN after "),
-        (trials(2000, 100, 700, 1200, 1900), QUESTION, "at the rate seen, no number is likely to decide it"),
-        (trials(2000, *range(50, 2000, 310)), QUESTION, "at the rate seen, REFUTED after"),
+        (trials(4000, 2000), QUESTION, "prove it if no other miss comes; if misses stay as frequent, PROVEN after "),
+        (trials(2000, 100, 700, 1200, 1900), QUESTION, "if misses stay as frequent, no number is likely to decide it"),
+        (trials(2000, *range(50, 2000, 310)), QUESTION, "if misses stay as frequent, REFUTED after"),
         (trials(4500), replace(QUESTION, boots=3), "worst 51.00 us; 2 more boots"),
         (trials(4000), QUESTION, "holds for misses that come singly (without a miss, 69 7"),
         (trials(4000), QUESTION, f"holds for the boot that was measured; {ADDED}"),
@@ -107,7 +107,11 @@ ADDED = "for the system measure on 5 boots or more"
             replace(TOLERANT, tolerance=FEW),
             "P(more than 3 of 100 with jitter > 400 us) at most 0.08",
         ),
-        (trials(4000), replace(QUESTION, bursts=20), "69 776 more measurements (1 min 10 s) prove it without a miss"),
+        (
+            trials(4000),
+            replace(QUESTION, bursts=20),
+            "69 776 more measurements (1 min 10 s) prove it if no miss comes (",
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -122,7 +126,7 @@ def test_a_change_is_said_before_anything_else():
     verdict = judge(Account(trials(4000), period_ns=PERIOD_NS), QUESTION)
     change = Change(p_value=1e-9, significant=0.01, text="it rose", missing_loops=60_000)
     assert sentences(replace(verdict, answer="NEEDS MORE", change=change)) == [
-        "it did not stay the same: it rose (p = 1e-09)",
+        "the system changed while it was measured: it rose (p = 1e-09)",
         "0 of 4 000 late",
         "P(value > 400 us) at most 0.00093",
         "at most 3 319 episodes of misses an hour (none seen)",
@@ -145,6 +149,11 @@ def test_a_change_is_said_before_anything_else():
 )
 def test_the_table_says_beside_the_answer_what_it_holds_for(measured, said):
     assert scope_in_short(judge(Account(measured), QUESTION)) == said
+
+
+def test_one_late_value_is_a_burst_where_the_period_is_as_long():
+    by_default = judge(Account(trials(4000), period_ns=20e6), replace(QUESTION, bursts=None))
+    assert scope_in_short(by_default) == "in this boot, if late values come singly (a burst of 10 ms has one)"
 
 
 @pytest.mark.parametrize(

@@ -195,17 +195,19 @@ def test_the_plan_counts_on_a_stall_of_10_ms(tmp_path, capsys):
         return int(best.split("PROVEN after ")[1].split()[0])
 
     scope, best, prices = planned("[1000]")
-    assert scope == "a proof covers a stall of 10 ms (bursts of 10, the default)"
+    assert scope == "a proof covers bursts of 10 ms (10 misses in a row, the default)"
     assert prices == [
         f"to cover {what}" for what in ("single misses (bursts", "bursts of 5 (bursts", "bursts of 20 (bursts")
     ]
     assert rounds(best) == -(-36_888_777 // 250_000)
     assert rounds(planned("[1000]", goal.replace("at_most", "bursts: 10, at_most"))[1]) == rounds(best)
-    assert planned("[100]")[0] == "a proof covers a stall of 10 ms (a single miss, the default)"
+    assert planned("[100]")[0] == "a proof covers bursts of 10 ms (a single miss, the default)"
     assert rounds(planned("[100]")[1]) == 15
     # Each group has to cover what a stall is at its own period.
     scope, both, _ = planned("[100, 1000]")
-    assert scope == "a proof covers a stall of 10 ms (bursts of 1 to 10, the default)" and rounds(both) == rounds(best)
+    assert scope == "a proof covers bursts of 10 ms (1 to 10 misses in a row, the default)" and rounds(both) == rounds(
+        best
+    )
 
 
 def test_the_plan_for_programs(tmp_path, capsys):

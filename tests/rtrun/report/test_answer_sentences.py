@@ -53,7 +53,7 @@ def late(count: int, n: int) -> np.ndarray:
         (
             late(0, 5000),
             {"probability": 1e-3},
-            "are late if they come singly; 32 s more of measuring without a late one prove it for 9 in a row",
+            "32 s more of measuring without a late one prove it even if they come 9 in a row",
         ),
     ],
 )
@@ -70,17 +70,22 @@ def test_what_changed_prevents_a_rate(tmp_path):
     values = late(0, 20_000)
     values[:40:2] = 5 * DEADLINE_NS
     values[10_000:10_400:3] = 5 * DEADLINE_NS
-    assert "no rate can be given: values changed while it was measured (" in said(tmp_path, values, probability=1e-3)[1]
+    assert (
+        "the system changed while it was measured, so no rate can be given ("
+        in said(tmp_path, values, probability=1e-3)[1]
+    )
 
 
-@pytest.mark.parametrize(("count", "text"), [(0, "never missed in 1 test on "), (3, "missed in 1 test on ")])
+@pytest.mark.parametrize(
+    ("count", "text"), [(0, "never missed in 1 test on "), (3, "missed at least once in 1 test on ")]
+)
 def test_the_headline_says_where_the_deadline_was_missed(tmp_path, count, text):
     assert said(tmp_path, late(count, 2000))[0].startswith(f"400 us was {text}")
 
 
 def test_answers_are_counted_in_words():
     answers = ["PROVEN", "REFUTED", "PROVEN", "NEEDS MORE", "no deadline"]
-    assert answers_in_words(answers, "1 in 100") == "At most 1 in 100 late? Not met in 1, met in 2, not known yet in 1."
+    assert answers_in_words(answers, "1 in 100") == "At most 1 in 100 late? No in 1, yes in 2, not known yet in 1."
 
 
 @pytest.mark.parametrize("values", [late(0, 5000), late(8, 12_000), late(900, 3000)])

@@ -75,6 +75,19 @@ def test_the_answer_is_a_sentence_and_the_next_step_follows_from_it(tmp_path, qu
     assert written.worst is not None and written.worst.figures.max_ns == max(v.max() for v in LATENCIES_NS)
 
 
+def test_an_answer_that_a_change_prevents_begins_with_the_change(tmp_path):
+    values = np.minimum(latencies(20_000, 1), 399_000)
+    values[15_000::50] = 900_000
+    oneshot_run(tmp_path, "a", values)
+    undecided = "it is not decided whether the deadline of 400 us is met"
+    written = contents_of(tmp_path, probability=1e-2)
+    assert written.answer.startswith(f"The system changed while it was measured, so {undecided}. Asked: ")
+    assert written.next_step.startswith("the plots of the report show when")
+    # Where something else is missing, too, only the line of the scenario says what changed.
+    oneshot_run(tmp_path, "b", latencies(100, 1), policy="FIFO")
+    assert contents_of(tmp_path, probability=1e-2).answer.startswith(f"I{undecided[1:]} in 2 of 2 scenarios.")
+
+
 def test_claims_and_worst_cases_stand_in_a_report_where_they_are_answered(tmp_path):
     """These few values allow no bound. Where there is one, its table has what was refused, too."""
     analysed = study(write(tmp_path), THESIS)

@@ -41,13 +41,15 @@ CHANGED = replace(verdict_of(1000), change=Change(p_value=1e-9, significant=0.01
 
 def test_a_line_says_how_far_a_group_is() -> None:
     assert line_of(verdict_of(1000), 75.0).endswith("; 1 000 measured; about 1 min 15 s left")
-    assert line_of(verdict_of(1000), None).endswith("; no end in sight at the rate seen")
+    assert line_of(verdict_of(1000), None).endswith("; no end in sight if misses stay as frequent")
     assert line_of(verdict_of(5000), None).startswith("PROVEN      timer RR: P(miss) <= ")
     assert "sight" not in line_of(verdict_of(5000), None)
 
 
 def test_a_line_says_what_changed() -> None:
-    assert line_of(CHANGED, None).endswith("; no answer: it did not stay the same: late values lie at the end")
+    assert line_of(CHANGED, None).endswith(
+        "; no answer: the system changed while it was measured: late values lie at the end"
+    )
 
 
 def test_where_only_boots_are_missing_nothing_is_said_of_more_measurements() -> None:
@@ -62,7 +64,7 @@ def test_what_is_no_number_stands_below_the_table() -> None:
     changed, more = (line for line in stream.getvalue().splitlines() if "timer" in line)
     assert "NEEDS MORE" in changed and "0 of 1 000" in more
     below = list(reasons(groups))
-    assert below[0] == "timer RR: no answer: it did not stay the same: late values lie at the end"
+    assert below[0] == "timer RR: no answer: the system changed while it was measured: late values lie at the end"
     assert below[1].startswith("timer FIFO: 2 688 more ")
 
 

@@ -59,7 +59,7 @@ def test_a_gate_that_covers_shorter_bursts_than_the_goal_asks_less(tmp_path, sta
     assert ("ASKS LESS" in printed) == is_less
     if is_less:
         now = "misses that come singly" if asked == 1 else f"bursts of up to {asked} misses"
-        before = "a stall of 10 ms" if stated is None else f"bursts of up to {stated} misses"
+        before = "bursts of 10 ms" if stated is None else f"bursts of up to {stated} misses"
         assert f"covering {now}, not {before}" in printed
         assert main([*asks, "--instead-of-goal"]) == 0
 

@@ -13,7 +13,7 @@ from rtrun.kinds.values import Int64s
 SIGNIFICANT = 0.01
 SIGNIFICANT_OF_MISSES = 0.02
 PARTS = 8
-UNSTEADY = "it did not stay the same"
+UNSTEADY = "the system changed while it was measured"
 # Events are also compared from piece to piece. A piece is longer than any burst, so a change is not taken for a burst.
 PIECES = 64
 # Cochran (1954): the chi-squared test needs about five expected events in each part.
@@ -99,15 +99,21 @@ def _by_places(positions: Int64s, loops: int, events: str, significant: float) -
         return []
     ends_p, count, fraction = test_of_ends(starts, loops)
     where = "last" if fraction > 0 else "first"
+    if starts.size < positions.size:
+        events = f"groups of {events}"
     ends = Change(
         p_value=ends_p,
         significant=significant,
-        text=f"{count} of the {starts.size} {events} lie in the {where} {100 * abs(fraction):.2g} % of a run",
+        text=f"{_out_of(count, starts.size)} {events} lie in the {where} {100 * abs(fraction):.2g} % of a run",
     )
     if starts.size < _LEAST_FOR_PARTS:
         return [ends]
     parts_p, counts = test_of_parts(starts, loops)
     return [ends, Change(p_value=parts_p, significant=significant, text=_uneven(counts, events))]
+
+
+def _out_of(count: int, total: int) -> str:
+    return f"all {total}" if count == total else f"{count} of the {total}"
 
 
 def _uneven(counts: Int64s, events: str) -> str:
@@ -116,7 +122,7 @@ def _uneven(counts: Int64s, events: str) -> str:
     first, last = (int(more[0]), int(more[-1])) if more.size else (0, PARTS)
     if more.size != last - first + 1:
         return f"{events} do not come evenly, in eighths of a run: {', '.join(map(str, counts))}"
-    inside = f"{counts[more].sum()} of the {counts.sum()} {events} lie in"
+    inside = f"{_out_of(counts[more].sum(), counts.sum())} {events} lie in"
     if not first or last == PARTS - 1:
         return f"{inside} the {'last' if first else 'first'} {counted(more.size, 'eighth')} of a run"
     return f"{inside} {counted(more.size, 'eighth')} of a run, after {100 * first / PARTS:.3g} % of it"
@@ -180,4 +186,4 @@ def test_of_order(counts: Int64s, loops: Int64s, events: str) -> tuple[float, st
     number = order.count or counts.size // 2
     where = "last" if order.where in ("last", "rising") else "first"
     inside = int(counts[counts.size - number :].sum() if where == "last" else counts[:number].sum())
-    return order.p_value, f"{inside} of the {counts.sum()} {events} lie in the {where} {number} of {counts.size}"
+    return order.p_value, f"{_out_of(inside, counts.sum())} {events} lie in the {where} {number} of {counts.size}"
