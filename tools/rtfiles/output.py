@@ -27,6 +27,7 @@ WIDTH_MAX = 1000
 _quiet = False
 _PLAIN = "rtfiles.plain"
 _CLOSEST = {"─": "-", "━": "-", "→": "->", "≤": "<=", "≥": ">=", "…": "...", "·": ".", "×": "x", "µ": "u", "±": "+-"}
+_CLOSEST["°"] = ""  # of °C
 
 
 def printable(text: str) -> str:
@@ -144,11 +145,12 @@ def screen_width() -> int:
 def console() -> "Console":
     """A console for tables and bars, as wide as the screen; plain text without a terminal.
 
+    Lines of text are not broken, not even those that are printed above a bar, so that what they name can be copied.
     It prints text unchanged: text that may come from a target must go through `printable` first.
     """
     from rich.console import Console
 
-    return Console(highlight=False, markup=False, emoji=False, soft_wrap=False, width=screen_width())
+    return Console(highlight=False, markup=False, emoji=False, soft_wrap=True, width=screen_width())
 
 
 @dataclass(kw_only=True, slots=True)

@@ -116,7 +116,7 @@ def measure_on(
                 target, name, runs, results, observer, chosen=chosen, variants=variants, rounds=rounds
             )
     with contextlib.ExitStack() as stack:
-        lines = stack.enter_context(showing_boards([target.name for target in targets], console()))
+        lines = stack.enter_context(showing_boards([target.name for target in targets], runs, console()))
         boards = [
             Board(
                 name=target.name,

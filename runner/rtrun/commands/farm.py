@@ -22,7 +22,8 @@ EXAMPLES = (
 )
 FAILS = "with --check: a place failed"
 CHECKS_AT_ONCE = 8  # each has two processes of labgrid's client, about 50 MiB
-_UNKNOWN = "not known"
+_UNKNOWN = "-"
+_COLUMNS = ("place", "state", "console", "power cycles", "last run", "platform", "kernel", "max °C")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -108,8 +109,9 @@ def _print(facts: "Sequence[dict[str, Any]]", *, with_runs: bool, as_json: bool)
         return
     bad = [place for place in facts if place["quarantine"] or place["not_offered"]]
     print_line(f"{counted(len(facts), 'place')}, {len(bad)} of them cannot be measured on")
-    columns = ("place", "state", "last run", "platform", "kernel", "max °C", "console", "power cycles")
-    console().print(Table(columns=columns, rows=[_row(place) for place in facts], numbers=(5, 7)))
+    known = len(_COLUMNS) if with_runs else _COLUMNS.index("last run")
+    rows = [_row(place)[:known] for place in facts]
+    console().print(Table(columns=_COLUMNS[:known], rows=rows, numbers=(3, 7)))
     if not with_runs:
         print_note("rtrun: --archive ARCHIVE knows the last run of each")
 
@@ -126,7 +128,7 @@ def _row(facts: dict[str, Any]) -> tuple[str, ...]:
         celsius = f"{run['temperature_max_mc'] / 1000:.1f}" if run["temperature_max_mc"] else _UNKNOWN
     switch = facts["has_power_switch"]
     power = "no switch" if switch is False else str(facts["power_cycles"])
-    return facts["place"], _state(facts), last, platform, kernel, celsius, facts["console"] or _UNKNOWN, power
+    return facts["place"], _state(facts), facts["console"] or _UNKNOWN, power, last, platform, kernel, celsius
 
 
 def _state(facts: dict[str, Any]) -> str:

@@ -136,7 +136,7 @@ def _measure(
         kept = f"{done} of {len(chosen)} runs are finished and kept in {results}; the same command goes on there"
         print_line(kept)
         raise
-    console().print(terminal.answer_of_runs(read_runs(results)), crop=False)
+    console().print(terminal.answer_of_runs(read_runs(results)))
     for line in remarks_of(results / run.name for run in chosen):
         print_line(line)
     return statuses

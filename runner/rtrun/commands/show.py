@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(data)
     else:
-        console().print(answer, crop=False)
+        console().print(answer)
     if refused:
         raise UsageError("\n".join(refused))
     return 0

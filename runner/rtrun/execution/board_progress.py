@@ -1,6 +1,7 @@
 """Progress of a campaign on several boards: a line when a run ends, and on a terminal a line for each board as well."""
 
 import contextlib
+import math
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,6 +13,7 @@ from rich.table import Column
 from rtfiles.output import print_line, print_note, printable, shortened
 from rtrun.execution.progress import ShowFigures, in_words
 from rtrun.plan.run import Run
+from rtrun.plan.short_names import short_names_of_runs
 from rtrun.results.record import RunStatus
 
 
@@ -34,8 +36,8 @@ class _Row:
 class BoardLine:
     """Shows what one board does. Every printed line has the name of the board."""
 
-    def __init__(self, board: str, row: _Row | None, lock: threading.Lock) -> None:
-        self._board, self._row, self._lock = board, row, lock
+    def __init__(self, board: str, row: _Row | None, lock: threading.Lock, short_names: Mapping[str, str]) -> None:
+        self._board, self._row, self._lock, self._short_names = board, row, lock, short_names
         self._began = time.monotonic()
         self.on_figures: ShowFigures | None = None
 
@@ -44,7 +46,7 @@ class BoardLine:
         del number
         self._began = time.monotonic()
         if row := self._row:
-            row.begin(run.name, run.total_s)
+            row.begin(self._name(run), run.total_s)
             self.on_figures = lambda figures: row.show(in_words(figures, run))
 
     def ended(self, number: int, run: Run, status: RunStatus, reason: str | None) -> None:
@@ -53,9 +55,12 @@ class BoardLine:
         elapsed_s = time.monotonic() - self._began
         tail = f": {reason}" if reason else ""
         with self._lock:
-            print_line(f"{status:10} {self._board:12} {run.name}  {elapsed_s:.1f} s{tail}")
+            print_line(f"{status:10} {self._board:12} {self._name(run)}  {elapsed_s:.1f} s{tail}")
         if self._row:
             self._row.begin("waits for the other boards", None)
+
+    def _name(self, run: Run) -> str:
+        return self._short_names.get(run.name, run.name)
 
     def note(self, text: str) -> None:
         """Print a remark."""
@@ -65,17 +70,18 @@ class BoardLine:
     def left(self, error: str | None) -> None:
         """Show that the board measures no more, and print why if it failed."""
         if self._row:
-            self._row.begin("failed" if error else "done", None)
+            # The bar of a board that failed stays empty, that of one that is done is full.
+            self._row.begin("failed" if error else "done", math.inf if error else 0.0)
         if error:
             self.note(f"{error}: the other boards measure what it leaves")
 
 
 @contextlib.contextmanager
-def showing_boards(boards: Sequence[str], console: Console) -> Iterator[Mapping[str, BoardLine]]:
-    """Yield a progress line for each board, by its name."""
+def showing_boards(boards: Sequence[str], runs: Sequence[Run], console: Console) -> Iterator[Mapping[str, BoardLine]]:
+    """Yield a progress line for each board, by its name; on a terminal, runs have short names."""
     lock = threading.Lock()
     if not console.is_terminal:
-        yield {board: BoardLine(board, None, lock) for board in boards}
+        yield {board: BoardLine(board, None, lock, {}) for board in boards}
         return
     columns = (
         TextColumn("{task.fields[board]}"),
@@ -84,8 +90,9 @@ def showing_boards(boards: Sequence[str], console: Console) -> Iterator[Mapping[
     )
     bars = Progress(*columns, console=console, transient=True, refresh_per_second=2, expand=True)
     rows = {board: _Row(bars, board) for board in boards}
+    short_names = short_names_of_runs(runs)
     with bars, _moving(bars):
-        yield {board: BoardLine(board, row, lock) for board, row in rows.items()}
+        yield {board: BoardLine(board, row, lock, short_names) for board, row in rows.items()}
 
 
 @contextlib.contextmanager

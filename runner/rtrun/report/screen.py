@@ -14,7 +14,7 @@ def print_styled(word: str, rest: str = "") -> None:
     """Print a line that begins with an answer in its colour."""
     from rich.text import Text
 
-    console().print(Text(printable(word), STYLES.get(word, "")).append(printable(rest), "default"), soft_wrap=True)
+    console().print(Text(printable(word), STYLES.get(word, "")).append(printable(rest), "default"))
 
 
 def print_figures(groups: Sequence[Group]) -> None:

@@ -5,7 +5,9 @@ import re
 import sys
 
 import pytest
+from archive.archived import write_course
 from commands.test_json import COMMANDS
+from labgrid_farm import farm_of
 from rich.console import Console
 
 from rtfiles.output import surviving_output
@@ -22,6 +24,10 @@ TABLES += ["verdict runs --deadline 100us", "report runs --deadline 100us", "pla
 def test_a_table_fits_the_screen_and_loses_nothing(folder, capsys, monkeypatch, command):
     """Lines of text are not broken, so that what they name can be copied."""
     monkeypatch.chdir(folder)
+    fits(command, capsys, monkeypatch)
+
+
+def fits(command, capsys, monkeypatch):
     lines_of, in_tables = Table.lines, []
 
     def lines(table, width=1000):
@@ -47,12 +53,33 @@ def test_a_table_fits_the_screen_and_loses_nothing(folder, capsys, monkeypatch, 
 @pytest.mark.parametrize("command", TABLES)
 def test_a_terminal_without_unicode_shows_no_question_marks(folder, monkeypatch, command):
     monkeypatch.chdir(folder)
+    assert not re.search(r"\?\S", ascii_of(command, monkeypatch))
+
+
+def ascii_of(command, monkeypatch):
     raw = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
     with surviving_output():
         main(command.split())
     text = raw.getvalue().decode("ascii")
-    assert text.strip() and not re.search(r"\?\S", text)
+    assert text.strip()
+    return text
+
+
+def test_the_places_of_a_farm_fit_the_screen(tmp_path, capsys, monkeypatch):
+    """A real coordinator: one place was measured on, one is ill, one is offered by nobody."""
+    pytest.importorskip("labgrid", reason="the extra farm is not installed")
+    facts = [{"kernel": "6.12.48-rt", "temperature_mc": 61_000}]
+    write_course(tmp_path / "archive", [100.0], machine="panda-1", facts=facts, parameters={"middleware": "rclcpp"})
+    service = {"NetworkService": {"address": "127.0.0.1", "username": "root"}}
+    offered = {"panda-1": service, "panda-2": service, "away-1": {}}
+    with farm_of(tmp_path, offered, {"quarantine": "2026-01-09_127.0.0.1_does_not_answer"}) as farm:
+        monkeypatch.setenv("LG_COORDINATOR", farm.coordinator)
+        monkeypatch.chdir(tmp_path)
+        fits("farm --archive archive", capsys, monkeypatch)
+        fits("farm", capsys, monkeypatch)
+        text = ascii_of("farm --archive archive", monkeypatch)
+    assert "61.0" in text and "?" not in text
 
 
 def drawn(table, width, **options):
