@@ -123,7 +123,7 @@ class LiveFigures:
         self._observed = observed
         self._on_values = on_values
         self._deadlines = deadlines
-        self._shown: dict[object, _Shown] = {}
+        self._shown: dict[tuple[StreamKind, object], _Shown] = {}
         self._at_ns = observed.begin_ns
 
     def snapshot(self, at_ns: int) -> Snapshot:
@@ -141,12 +141,13 @@ class LiveFigures:
         )
 
     def _row(self, kind: StreamKind, source: StreamSource, passed_s: float) -> LiveRow:
-        shown = self._shown.setdefault(source.record, _Shown(BinnedValues()))
+        key = (kind, source.record)  # a record may have streams of several kinds
+        shown = self._shown.setdefault(key, _Shown(BinnedValues()))
         limit_ns = self._limit_ns(kind, source)
         new = source.since(shown.rows)
         if new.rows < shown.rows:
             # What was taken for its values was none.
-            shown = self._shown[source.record] = _Shown(BinnedValues())
+            shown = self._shown[key] = _Shown(BinnedValues())
         if self._on_values is not None and new.values_ns.size:
             self._on_values(NewValues(source.record, kind, new.values_ns, new.times_ns, shown.figures, new.tid))
         figures = shown.figures

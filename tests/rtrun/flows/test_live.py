@@ -68,7 +68,7 @@ def values_of(stream):
         return columns["reception_ns"] - columns["publication_ns"]
     if stream.kind is TIMER:
         return columns["real_ns"] - columns["expected_ns"]
-    if stream.kind is INTERVAL:
+    if stream.kind.is_between_rows:
         return differences(columns["timestamp_ns"], stream.cuts)
     return columns["end_ns"] - columns["begin_ns"]
 
