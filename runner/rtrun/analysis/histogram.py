@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtrun.kinds.lateness import are_late
+from rtrun.kinds.lateness import are_late, is_late
 from rtrun.kinds.values import Int64s, pieces
 
 # The difference of two values from -LIMIT_NS to LIMIT_NS - 1 fits into an int64; it is 146 years.
@@ -40,7 +40,7 @@ class Histogram:
         A printed largest value is the lower edge of a bin, too.
         Raises ValueError when the limit lies in the overflow, where nothing is known.
         """
-        if self.overflow and self.max_ns is not None and self.max_ns <= limit_ns - self.bin_ns + 1:
+        if self.overflow and self.max_ns is not None and not is_late(self.max_ns + self.bin_ns - 1, limit_ns):
             return 0
         if self.overflow and (self.overflow_from_ns is None or limit_ns > self.overflow_from_ns):
             raise ValueError("the deadline lies beyond the histogram's last bin, where values are only counted")

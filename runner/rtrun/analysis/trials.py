@@ -9,7 +9,7 @@ import numpy as np
 from rtrun.analysis.dependence.design_effect import Events, locate
 from rtrun.analysis.dependence.episodes import FoundEpisodes, find_episodes
 from rtrun.analysis.histogram import Histogram
-from rtrun.kinds.lateness import are_late
+from rtrun.kinds.lateness import are_late, first_late_ns
 from rtrun.kinds.values import Int64s
 from rtrun.plan.question import NONE_TOLERATED, Tolerance
 
@@ -86,8 +86,9 @@ def windowed(values_ns: Int64s, absent: Int64s, deadline_ns: int, tolerance: Tol
         decides = _decided_by(every, floor, tolerance)
         if many >= loops or np.count_nonzero(decides >= floor) > high_values(is_late.size):
             break
-    low = min(floor - 1, deadline_ns)
-    decides = np.where(decides >= floor, decides, np.where(is_late, np.maximum(low, deadline_ns + 1), low))
+    first_late = first_late_ns(deadline_ns)
+    low = min(floor, first_late) - 1
+    decides = np.where(decides >= floor, decides, np.where(is_late, np.maximum(low, first_late), low))
     never = decides == _NEVER
     return decides[~never], np.flatnonzero(never).astype(np.int64)
 

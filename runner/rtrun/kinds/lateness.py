@@ -37,14 +37,19 @@ def judged(measures: Sequence[Measure], of: Measure | None) -> Measure:
     raise UsageError(f"measures {' and '.join(measures)}, not {of}")
 
 
+def first_late_ns(deadline_ns: int) -> int:
+    """The lowest value that is late."""
+    return deadline_ns + 1
+
+
 def is_late(value_ns: int, deadline_ns: int) -> bool:
     """Whether a value is late."""
-    return value_ns > deadline_ns
+    return value_ns >= first_late_ns(deadline_ns)
 
 
 def are_late(values_ns: "Int64s", deadline_ns: int, width_ns: "Int64s | int" = 1) -> "Bools":
     """Which values are late, shape (n,); for bins, given by lower edges and width, which may contain late values."""
-    return values_ns > deadline_ns - width_ns + 1
+    return values_ns >= first_late_ns(deadline_ns) - width_ns + 1
 
 
 def absent_in_words(number: int, of: Measure | None) -> str:

@@ -13,7 +13,6 @@ from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures
 from rtrun.flows.streams import streams
 from rtrun.flows.values import differences
-from rtrun.kinds.interval import STREAM as INTERVAL
 from rtrun.kinds.known import STREAMS
 from rtrun.kinds.messages import STREAM as MESSAGES
 from rtrun.kinds.timer import STREAM as TIMER

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rtrun.analysis.chance.distributions import Floats, binomial_above
 from rtrun.analysis.trials import Trials, count_misses, loop_positions
-from rtrun.kinds.lateness import are_late
+from rtrun.kinds.lateness import are_late, first_late_ns
 from rtrun.kinds.values import Int64s
 
 # Below this chance the first loops are a start-up, after Bonferroni for all lengths, patterns and kinds of events.
@@ -142,7 +142,7 @@ def _events(values_ns: Int64s, absent: Int64s, deadline_ns: int) -> Iterator[tup
     # Misses are among the high values, unless more values than these are late.
     late = (
         high[are_late(heights, deadline_ns)]
-        if deadline_ns >= levels[0]
+        if first_late_ns(deadline_ns) > levels[0]
         else np.flatnonzero(are_late(values_ns, deadline_ns))
     )
     for places, weights, most in (
