@@ -8,7 +8,7 @@ TEST := tools/test $(if $(WORKERS),-n $(WORKERS))
 # Tests and the programs that they start find their modules compiled, whatever the environment says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: quick demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-topologies test-yocto lock lint docs coverage mutants bench setup setup-demo board suites clean
+.PHONY: quick demo test test-fast fuzz soak test-slow test-why test-archive test-boards test-compilers test-kernel test-ros2 test-topologies test-yocto lock lint docs limits coverage mutants bench setup setup-demo board suites clean
 
 # quick, demo and test are names of programs in tools/; make quick DEADLINE=500us for another deadline.
 quick:
@@ -96,6 +96,10 @@ lock: setup
 # The site of docs/, in build/docs: a link to a page, heading or picture that is not there is an error. In seconds.
 docs: setup
 	$(BIN)/sphinx-build -q --fail-on-warning --keep-going --doctree-dir build/doctrees docs build/docs
+
+# The table of limits in docs/security.md, from the code: a test refuses another.
+limits: setup
+	PYTHONPATH=runner:tests $(BIN)/python tests/limits.py
 
 # Sentences that have to be read twice, too: tests/words.tsv.
 lint: docs

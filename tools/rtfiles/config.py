@@ -18,7 +18,7 @@ from rtfiles.wording import SHOWN_CHARACTERS, mistake, unknown
 
 # Limits for reporting errors in data, which somebody else may have written.
 SHOWN_ERRORS = 20
-ERRORS_MAX = 10_000
+ERRORS_MAX = 10_000  #: errors of a file that are listed
 
 
 class Config(BaseModel):
@@ -98,10 +98,10 @@ class Place:
         return f"{self.origin}{line}: {where}" if where else f"{self.origin}{line}"
 
 
-YAML_BYTES_MAX = 1 << 20
+YAML_BYTES_MAX = 1 << 20  #: a YAML file
 # With every alias expanded: a few hundred bytes of nested aliases can exceed the memory.
-YAML_NODES_MAX = 200_000
-YAML_NUMBER_MAX = 40
+YAML_NODES_MAX = 200_000  #: values in a YAML file, with aliases expanded
+YAML_NUMBER_MAX = 40  #: characters of a number in a YAML file
 
 
 class _StrictLoader(yaml.SafeLoader):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 PLAIN_WIDTH = 100  # columns of a table, where the output is not a terminal
-WIDTH_MAX = 1000
+WIDTH_MAX = 1000  # columns of a terminal
 _quiet = False
 _PLAIN = "rtfiles.plain"
 _CLOSEST = {"─": "-", "━": "-", "→": "->", "≤": "<=", "≥": ">=", "…": "...", "·": ".", "×": "x", "µ": "u", "±": "+-"}

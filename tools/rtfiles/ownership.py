@@ -23,7 +23,7 @@ from pathlib import Path
 from rtfiles.errors import UsageError
 
 # The kernel's own limit (path_resolution(7)).
-LINKS_MAX = 40
+LINKS_MAX = 40  #: links on the way to a folder of results, or to the cache
 _PROGRAM = Path(__file__)
 
 

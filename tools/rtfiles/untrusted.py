@@ -19,15 +19,15 @@ from xml.parsers import expat
 from rtfiles.errors import UsageError
 
 MIB = 1 << 20
-JSON_BYTES_MAX = 16 * MIB
+JSON_BYTES_MAX = 16 * MIB  #: a JSON text
 # An empty list takes 3 bytes of JSON and 64 of memory: limiting the text does not limit the memory.
-JSON_ITEMS_MAX = 500_000
-JSON_DEPTH_MAX = 32
-XML_DEPTH_MAX = 64
-LINE_CHARACTERS_MAX = 262_144
+JSON_ITEMS_MAX = 500_000  #: values in a JSON text
+JSON_DEPTH_MAX = 32  #: nesting of a JSON text
+XML_DEPTH_MAX = 64  #: nesting of an XML text
+LINE_CHARACTERS_MAX = 262_144  #: characters of a line of another program's text
 # Python refuses only numbers above 4300 digits, and shorter ones still cost quadratic time.
-DIGITS_MAX = 20
-INT64_MAX = 2**63 - 1
+DIGITS_MAX = 20  #: digits of a whole number
+INT64_MAX = 2**63 - 1  # a range
 _WHOLE_NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS_MAX}}}", re.ASCII)
 
 

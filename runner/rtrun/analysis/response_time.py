@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 # Steps of the search for a bound. It takes more of them the less CPU time is left; if these are too few, hardly any is.
-STEPS_MAX = 300_000
+STEPS_MAX = 300_000  #: steps of the search for the bound of a response time
 # Larger than the rounding error of a sum of some hundred shares.
 _ROUNDING = 1e-12
 

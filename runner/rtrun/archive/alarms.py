@@ -18,8 +18,7 @@ from rtrun.targets.labgrid.health import in_words, since
 
 Kind = Literal["worse", "worse build", "failed", "offline", "quarantine", "new"]
 BOARDS_PAGE = "boards.html"
-REASON_MAX = 300
-"""Length limit, in characters, of the reason of a run in a message."""
+REASON_MAX = 300  #: characters of the reason in an alarm
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -15,7 +15,7 @@ from email.message import EmailMessage
 from email.utils import formatdate, make_msgid
 from typing import Any
 
-MEMORY_BYTES_MAX = 1 << 29
+MEMORY_BYTES_MAX = 1 << 29  #: memory of the process for a web hook or mail server
 
 
 class _NoRedirect(urllib.request.HTTPRedirectHandler):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 PACK = "pack-"
 ROW_GROUP = 1 << 17
 """Limit of the rows in a row group of a pack."""
-GROUPS_MAX = 1024
+GROUPS_MAX = 1024  #: row groups of a file of an archive
 """Limit of the row groups in a file: each takes 6 KB of memory in a footer, and the rows of a run are in at most 32."""
 
 

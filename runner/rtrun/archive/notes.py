@@ -16,8 +16,8 @@ from rtfiles.config import Config
 from rtrun.archive.entries import EntryKind, Moment, Text, add_entry, read_entries, stamp_of
 from rtrun.archive.store import Store
 
-_NOTES_MAX = 10_000
-_BYTES_MAX = 1 << 16
+_NOTES_MAX = 10_000  #: notes of an archive
+_BYTES_MAX = 1 << 16  #: a note of an archive
 Days = Annotated[int, Field(ge=1, le=100_000)]
 Table = Literal["runs", "histograms", "samples"]
 

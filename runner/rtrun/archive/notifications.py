@@ -11,10 +11,9 @@ from rtrun.archive.alarms import Alarm, of_no_concern
 from rtrun.archive.entries import EntryKind, Moment, add_entry, check_room, read_entries
 from rtrun.archive.store import Store
 
-ALARMS_MAX = 3000
-"""Of one message."""
-_MESSAGES_MAX = 10_000
-_BYTES_MAX = 1 << 20
+ALARMS_MAX = 3000  #: alarms of a message of `rtrun notify`
+_MESSAGES_MAX = 10_000  #: such messages that an archive remembers
+_BYTES_MAX = 1 << 20  #: such a message, as remembered
 _Level = Annotated[float, Field(allow_inf_nan=False)]
 
 

@@ -22,7 +22,7 @@ from rtrun.kinds.limits import BINS_MAX
 from rtrun.plan.suites import measures
 
 # How many histogram rows are held at a time, each up to 150 bytes. A run has some ten thousand.
-ROWS_MAX = 2 * BINS_MAX
+ROWS_MAX = 2 * BINS_MAX  #: rows of an archive's histograms in memory
 SHOWN = (50.0, 99.0, 99.9, 99.99)
 """The percentiles that tables and plots show."""
 _LARGE = 4096  # rows per group

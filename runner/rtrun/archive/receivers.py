@@ -25,13 +25,10 @@ from rtfiles.output import counted, printable
 from rtrun.archive.alarms import Alarm, Kind
 from rtrun.targets.address import check_server
 
-RECEIVE_S = 60.0
-"""Limit for notifying one receiver, including the look-up of its name."""
-STDERR_BYTES_MAX = 4096
-"""How much is kept of the end of a command's standard error."""
+RECEIVE_S = 60.0  #: telling one receiver, the look-up of its name included
+STDERR_BYTES_MAX = 4096  #: the end of a command's standard error that is kept
 _STDERR_S = 5.0  # for its end, where a background process keeps it open
-SHOWN_MAX = 50
-"""How many alarms a text spells out."""
+SHOWN_MAX = 50  # alarms that a text spells out
 _TITLES: dict[Kind, tuple[str, str, str]] = {
     "worse": ("WORSE", "scenario", "got worse"),
     "worse build": ("WORSE", "case", "of a build worse than its history"),

@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from pyarrow import DataType
     from pyarrow.parquet import ParquetFile
 
-PACKED_MAX = 1 << 13
-"""Limit of the runs in a pack."""
-_TEXT_BYTES_MAX = 1 << 28  # of all texts in a file: those of a run take some KB
+PACKED_MAX = 1 << 13  #: runs in one file of an archive
+_TEXT_BYTES_MAX = 1 << 28  #: texts in such a file; those of a run take some KB
 PARTITIONED = ("machine", "suite")  # in schema 1 they were only in the path, as machine=NAME/suite=NAME
 
 LATER = ("cpu", "command_line", "memory_kib")

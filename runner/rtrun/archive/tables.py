@@ -38,7 +38,7 @@ _FACTS = (
     *("architecture", "cpu", "command_line", "clock_source", "clock_event", "governor", "middleware_version", "setup"),
     *("commit", "image", "packages", "record"),
 )
-COMMAND_LINE_MAX = 4096  # COMMAND_LINE_SIZE of most kernels
+COMMAND_LINE_MAX = 4096  #: characters of a kernel command line in an archive, as most kernels have
 _TARGET_FACTS = ("boot_id", "kernel_release", "kernel_version", "governor", "middleware_version", "setup")
 RUNS = pyarrow.schema(
     [

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from rtrun.causes.events import Event
 from rtrun.causes.timeline import Timeline
 
-WINDOWS_MAX = 200
+WINDOWS_MAX = 200  #: windows before an outlier that are compared with it
 # Windows are searched for in this much time, and further back until there are this many.
 CONTROL_NS, WINDOWS_WANTED = 50_000_000, 20
 

@@ -17,8 +17,7 @@ from rtrun.causes.reconstruction import NORMAL_PRIO
 from rtrun.causes.timeline import Span, State, StateChange, Timeline, Waker, Why
 from rtrun.causes.waits import GIVEN_THE_CPU, CpuWaits, of_interrupt
 
-# The walk goes back at most this many steps: threads that wake one another may form a circle in a trace.
-STEPS_MAX = 10_000
+STEPS_MAX = 10_000  #: steps from a late thread back to what woke it: threads may wake one another in a circle
 TIMER = "the timer's own"
 BEFORE = "before the trace begins"
 # A fault has no event at its end. A thread whose faults follow one another this closely does little else.

@@ -38,14 +38,12 @@ from rtrun.causes.events import (
     Wake,
 )
 
-# The buffers of 16 CPUs, of 512 KiB each, hold this many events.
-EVENTS_MAX = 200_000
-# At most this many timers are kept that were started before the first event that is read.
-TIMERS_MAX = 10_000
+EVENTS_MAX = 200_000  #: events of a kernel trace in memory: the buffers of 16 CPUs, of 512 KiB each
+TIMERS_MAX = 10_000  #: timers kept that were started before the first event that is read
 PIECE_BYTES = 1 << 16
 # How many parsed arguments of switches and wake-ups are cached, since a trace repeats them; and how long they may be.
 REPEATED_MAX, ARGUMENTS_MAX = 1024, 512
-CALLBACK_CHARACTERS_MAX = 200
+CALLBACK_CHARACTERS_MAX = 200  #: characters of the name of a callback in a trace
 # trace-cmd.dat(5): how a file of trace-cmd begins.
 _TRACE_CMD = b"\x17\x08\x44tracing"
 

@@ -31,7 +31,7 @@ AFTER_NS = 10_000_000
 # How much is read before an outlier at least: of a thread that sleeps longer only the wake-up is seen.
 BEFORE_NS = 50_000_000
 AROUND = 4
-HEAD_BYTES_MAX = 8192
+HEAD_BYTES_MAX = 8192  #: the first line of a kernel trace, as read
 _HEAD = re.compile(
     r"# \S{1,255}: (\d{1,18}) ns at index (\d{1,18}) above \d{1,18} ns, at (\d{1,9})\.(\d{6}) s of (\w{1,40})"
     r"(?: by thread (\d{1,10}))?\n",

@@ -22,8 +22,7 @@ EXAMPLES = (
     "rtrun observe --target robot.yml --list",
     "rtrun observe --target robot.yml --for 60s --deadline /cmd_vel=5ms",
 )
-# Limit of messages and callbacks in a file for Perfetto: a browser reads it whole.
-DRAWN_MAX = 200_000
+DRAWN_MAX = 200_000  #: messages and callbacks in a file for Perfetto: a browser reads it whole
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

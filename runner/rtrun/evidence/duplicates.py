@@ -16,8 +16,7 @@ BY_CHANCE = 1e-12
 # separate measurements of 10 000 loops with a clock of 1 us share two or three.
 _COMPARED = 64
 SHARED_LEAST = 10
-# A value at more places than this comes from a coarse clock, and tells nothing.
-_PLACES_MAX = 1000
+_PLACES_MAX = 1000  # a value at more places comes from a coarse clock, and tells nothing
 
 
 def chance_of_same_counts(histogram: Histogram) -> float:

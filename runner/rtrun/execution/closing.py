@@ -29,8 +29,7 @@ from rtrun.targets.link import Interrupted
 from rtrun.validity import baselines, requirements
 from rtrun.validity.outcome import RunOutcome, judge
 
-# The end of the console of a board in QEMU, which may print without end.
-CONSOLE_LIMIT_BYTES = 16 * MIB
+CONSOLE_LIMIT_BYTES = 16 * MIB  #: the end of the console of a board in QEMU, which may print without end
 # Facts of a target that run.json takes from its state under the same names.
 STATED = ("kernel_release", "kernel_version", "machine", "boot_id", "clocksource", "governor")
 

@@ -12,15 +12,14 @@ from rtrun.targets import connection
 from rtrun.targets.link import Link
 
 MIB = 1024 * 1024
-STREAM_LIMIT_BYTES = 16 * MIB
-JSON_LIMIT_BYTES = 16 * MIB
-LOG_LIMIT_BYTES = 64 * MIB
+STREAM_LIMIT_BYTES = 16 * MIB  #: standard output or standard error of a program, as copied
+JSON_LIMIT_BYTES = 16 * MIB  #: a JSON file of a suite, as copied
+LOG_LIMIT_BYTES = 64 * MIB  #: a log of a suite, as copied
 NPY_HEADER_BYTES = 64 * 1024
-TRACE_LIMIT_BYTES = 64 * MIB
+TRACE_LIMIT_BYTES = 64 * MIB  #: a kernel trace, as copied
 # Some lines for each control group, whose path has 4096 characters at most.
-CGROUPS_LIMIT_BYTES = MIB
-# Traces that a suite keeps of each output.
-TRACES_MAX = 16
+CGROUPS_LIMIT_BYTES = MIB  #: recorded control groups of a program
+TRACES_MAX = 16  #: kernel traces of an output of a suite
 # Text that is useful even when it is cut off.
 _STREAMS = (".stdout", ".stderr")
 # Works without room on the disk, and with any dd.

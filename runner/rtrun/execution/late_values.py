@@ -24,16 +24,16 @@ from rtrun.probes.trace_text import trace_text
 from rtrun.results.texts import StoredText, TextStore
 
 # Per stream; the programs of the suites keep as many.
-TRACES_MAX = 16
+TRACES_MAX = 16  #: traces around late values of an observed stream
 # Events are kept for this long, within limits: bytes of kernel events, turns of threads and characters of their names,
 # and times of hits. On a busy machine the limits hold about as much.
 KEPT_NS = 10 * 10**9
-EVENTS_BYTES_MAX = 64 * 1024 * 1024
-TURNS_MAX = 100_000
-TURN_CHARACTERS_MAX = 6_000_000
-HITS_MAX = 1_000_000
+EVENTS_BYTES_MAX = 64 * 1024 * 1024  #: kernel events of the last seconds, kept for traces around late values
+TURNS_MAX = 100_000  #: callbacks that are kept for them
+TURN_CHARACTERS_MAX = 6_000_000  #: characters of the names of these callbacks together
+HITS_MAX = 1_000_000  #: hits whose threads are kept for them
 # Text of traces that one call makes, some seconds' work: other late values wait for the next call.
-TEXT_BYTES_AT_ONCE_MAX = 32 * 1024 * 1024
+TEXT_BYTES_AT_ONCE_MAX = 32 * 1024 * 1024  #: text of traces that is written at one time; other late values wait
 
 
 @dataclass(kw_only=True, slots=True, eq=False)

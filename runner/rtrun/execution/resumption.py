@@ -24,7 +24,7 @@ from rtrun.targets.inspection.facts import TargetState, parse_state
 from rtrun.targets.link import Link
 
 FILE = "attempt.json"
-LIMIT_BYTES = 4 * 1024 * 1024
+LIMIT_BYTES = 4 * 1024 * 1024  #: the attempt file of a run
 # Not head -c: the busybox of a Yocto image need not have it.
 _INSPECT = """
 cd "$1" 2>/dev/null || exit 0

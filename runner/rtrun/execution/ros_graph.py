@@ -23,12 +23,12 @@ from rtrun.targets.errors import TargetError
 from rtrun.targets.link import Link
 
 # For all masters and domains together.
-NODES_MAX = 2000
-NAMES_MAX = 100_000
+NODES_MAX = 2000  #: nodes of a graph, and topics or services of one
+NAMES_MAX = 100_000  #: names that all nodes of a graph publish, take and serve
 # How long a ROS 2 node looks around: it finds programs in some tenths of a second, on a slow board later.
 LOOK_S = 3
 # For all masters and domains together.
-ASK_S = 60.0
+ASK_S = 60.0  #: asking for a graph of nodes
 ROS1, ROS2 = "libroscpp", "librcl"
 _MASTER, _DOMAIN = "ROS_MASTER_URI", "ROS_DOMAIN_ID"
 _DEFAULT_MASTER = "http://localhost:11311"

@@ -32,11 +32,11 @@ from rtrun.targets.link import OUT_OF_REACH
 
 # After this multiple of its expected time plus this much, a run may have been interrupted because it hangs.
 HUNG_FACTOR = 2
-HUNG_EXTRA_S = 10.0
+HUNG_EXTRA_S = 10.0  #: beyond twice the expected time of a run: then Ctrl-C ends a run that hangs
 # A run has some ten files for each of its programs. The user is notified of a folder with more than this.
 FILES_USUAL = 10_000
 # For a folder with some million files.
-LISTING_S = 120.0
+LISTING_S = 120.0  #: listing the files of a run that was cut off
 # A lost link ends the input early: an incomplete file does not get its final name.
 _PUT = 'cat >"$1.new" && [ "$(wc -c <"$1.new")" -eq "$2" ] && mv "$1.new" "$1"'
 # Separates the state of the target from the list of files.

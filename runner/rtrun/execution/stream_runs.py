@@ -34,7 +34,7 @@ from rtrun.results.record import ProgramRecord, RunRecord, RunStatus
 from rtrun.targets.inspection.facts import TargetState, fact_text
 
 # Characters of a folder's name: room for a number and what tells streams apart, and file systems take it.
-_NAME_MAX = 100
+_NAME_MAX = 100  # characters
 _NAMES_SHOWN = 8
 # Parameters that name programs.
 _PARTIES = ("publisher", "subscriber", "node", "sink", "program")

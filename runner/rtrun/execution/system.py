@@ -19,12 +19,12 @@ from rtrun.targets.link import Link
 SYSTEM = "system"
 """The name of the program that runs the command."""
 # A launch file of a large robot takes a minute or two on a small board.
-READY_S = 180.0
+READY_S = 180.0  #: waiting for the system that a campaign starts to be ready
 # How long to watch for a topic at a time: afterwards there may be more programs, with other libraries.
 LOOK_S = 5.0
 POLL_S = 0.5
 # The programs themselves have 17 s to end.
-END_S = 60.0
+END_S = 60.0  #: ending that system
 _NAMES_SHOWN = 8
 _RUN = 'cd "${HOME:-/}" || cd /; exec sh -c "$1"'
 

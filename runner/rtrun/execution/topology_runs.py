@@ -46,8 +46,7 @@ from rtrun.results.topology_record import (
 from rtrun.targets.inspection.facts import TargetState
 
 PROGRAM = "topology_node"
-# The kernel cuts names of threads to this many characters.
-_THREAD_NAME_MAX = 15
+_THREAD_NAME_MAX = 15  # characters: the kernel cuts names of threads there
 _POLICIES = {"0": "OTHER"}
 
 

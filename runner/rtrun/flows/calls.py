@@ -11,7 +11,7 @@ from rtrun.flows.timers import LEAST_CALLS, TIMERS, LivingTimer, TimerCall, Time
 from rtrun.kinds.messages import NOT_SEEN_NS
 from rtrun.probes.hits import Hit
 
-_NESTED_MAX = 64  # callbacks within one another: with more, exceptions left them, and they never end
+_NESTED_MAX = 64  #: callbacks of a thread within one another; with more, exceptions left them
 
 
 class CallRecord:

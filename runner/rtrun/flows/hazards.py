@@ -6,7 +6,7 @@ from rtfiles.output import counted, listed, printable
 from rtrun.flows.programs import label_of
 from rtrun.probes.hits import ObservedProgram, ProgramThread
 
-_NAMED_MAX = 4
+_NAMED_MAX = 4  # threads that a hazard names
 
 
 def hazards(programs: Sequence[ObservedProgram], *, with_pids: bool = True) -> tuple[str, ...]:

@@ -19,8 +19,8 @@ from rtrun.probes.loops import EVENTS, EXPIRY, SLEEP, START, SWITCH, THREADS_MAX
 _INTERRUPT = 0x18  # bits of common_flags: within an interrupt or a softirq
 _ASLEEP, _ENDED = 0x03, 0x30  # bits of prev_state: S and D, X and Z
 _STEP_NS = 1000  # two readings of the offset of a clock differ by less
-_TIMERS_MAX = 64  # of a thread that are armed at one time
-_WAKERS_MAX = 16
+_TIMERS_MAX = 64  #: timers that a thread has armed at one time, while its loop is observed
+_WAKERS_MAX = 16  #: different wakers of such a thread
 
 
 class LoopRecord:

@@ -27,8 +27,7 @@ _STAMP_ROUNDING_NS = (-2, -1, 1, 2)
 # millisecond; on a busy machine the thread may wait for a CPU.
 _WRITE_MOSTLY_NS = 10**6
 _WRITE_MAX_NS = 10**8
-# How many publications of one time stamp are kept: each reception has to look at all of them.
-_ALIKE_MAX = 64
+_ALIKE_MAX = 64  #: observed messages with one time stamp: each reception is compared with all of them
 # How many messages in a row have to differ from each other. At 10 Hz they are within the horizon.
 _UNLIKE_MIN = 100
 # Times of a realtime clock, 2014 to 2039: no part of a double that anyone sends looks like them.

@@ -161,7 +161,7 @@ class Reception:
 
 
 # The takers of all remembered publications. One reception may belong to any of thousands of equal publications.
-TAKERS_MAX = 400_000
+TAKERS_MAX = 400_000  #: takers, sure or possible, of all observed messages that are remembered
 # The columns of the rows of a pair.
 PUBLISHED, RECEIVED, CALLBACK_END, INDEX = range(4)
 

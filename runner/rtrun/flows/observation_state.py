@@ -12,10 +12,9 @@ FAULT = "(fault)"
 
 # Limits for measured streams, and for living things: processes, threads, publishers, subscriptions, timers, callbacks,
 # names. A large robot has some thousand of each.
-STREAMS_MAX = 10_000
-THINGS_MAX = 50_000
-# How many pairs of a label and a pid are kept, including those of ended processes.
-LABELS_MAX = 50_000
+STREAMS_MAX = 10_000  #: streams of an observation
+THINGS_MAX = 50_000  #: living processes, threads, publishers, subscriptions, timers, callbacks, names
+LABELS_MAX = 50_000  #: pairs of a label of an observation and a pid, those of ended processes included
 
 
 class ObservationState:

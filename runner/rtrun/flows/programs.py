@@ -11,8 +11,7 @@ from rtrun.probes.libraries.description import libraries
 T = TypeVar("T")
 _REMAPPED = re.compile(r"(?:[^:=]*:)?__(node|name|ns):=(.*)", re.DOTALL)
 
-# The name of a topic, a node or a namespace. ROS 2 allows 255.
-NAME_CHARACTERS_MAX = 512
+NAME_CHARACTERS_MAX = 512  #: characters of the name of a topic, node or namespace; ROS 2 allows 255
 _TIDY_FROM = 50_000  # names, most of them of things that have ended
 
 Handle = int | str

@@ -14,12 +14,11 @@ from rtrun.kinds.values import Int64s
 from rtrun.results.columns import PIECE_ROWS, NoRoom, collected, kept_in
 
 # An hour of 10000 messages a second with their callbacks takes 2.5 GiB.
-BYTES_MAX = 8 * 2**30
-"""The bytes of all rows of an observation: with more, the observation ends."""
-ROWS_MAX = 2**26
+BYTES_MAX = 8 * 2**30  #: the file of an observation's values; with more it ends
+ROWS_MAX = 2**26  #: values of one stream of an observation; with more it ends
 """The rows of one stream: reading it takes a bit or a byte of memory for each row."""
-IN_MEMORY_BYTES_MAX = 32 * 2**20
-_EXTENTS_MAX = 2**21
+IN_MEMORY_BYTES_MAX = 32 * 2**20  #: values that are not in that file yet
+_EXTENTS_MAX = 2**21  #: parts of the file of an observation's values; with more it ends
 _EXTENT_BYTES_LEAST = 512
 
 

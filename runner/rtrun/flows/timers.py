@@ -23,8 +23,8 @@ from rtrun.results.columns import PIECE_ROWS, collected
 
 LEAST_CALLS = 3
 """A timer with fewer calls has no interval to go by: rclpy makes a timer for each spin_once with a time limit."""
-_PERIOD_OFF_MAX = 0.1
-_QUEUED_MAX = 64  # calls of a timer whose callbacks have not begun
+_PERIOD_OFF_MAX = 0.1  # a share of the period
+_QUEUED_MAX = 64  #: calls of an observed timer whose callbacks have not begun
 _SAME_CLOCK = {"ros": "system"}  # unless the time is simulated
 LATE_MAX_NS = 3600 * 10**9  # simulated time is further from the clock
 _NTP_DRIFT = 5e-4  # clocks that NTP disciplines drift by 500 ppm at most

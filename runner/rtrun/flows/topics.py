@@ -28,7 +28,7 @@ _OF_ROS = frozenset(("ros_discovery_info", "/parameter_events"))
 # The states in which a node of lifecycle stops, by their labels in rcl_lifecycle.
 _LEAVING = ("deactivating", "shuttingdown", "errorprocessing")
 _KEY_BYTES = 12
-_OPEN_MAX = 100_000  # messages that wait to be taken
+_OPEN_MAX = 100_000  #: observed messages that wait to be taken
 _HORIZON_LEAST_NS = 10**6
 
 

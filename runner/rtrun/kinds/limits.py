@@ -20,10 +20,9 @@ COUNT_MAX = 10**12
 # A clock that steps less often measures nothing.
 CLOCK_STEP_MAX_NS = 10**9
 SIZE_MAX_BYTES = 2**50
-# PID_MAX_LIMIT of the kernel.
-PID_MAX = 2**22
+PID_MAX = 2**22  #: the number of a process on the target (PID_MAX_LIMIT of the kernel)
 # The kernel builds with at most 8192 CPUs (CONFIG_NR_CPUS); numbers in data files have at most four digits.
-CPUS_MAX = 8192
+CPUS_MAX = 8192  #: CPU numbers in a CPU list
 # sched_get_priority_max(2).
 RT_PRIORITY_MAX = 99
 # For measuring threads: the ROS master needs the priority above theirs (thesis 4.4), and 99 belongs to the kernel.
@@ -37,7 +36,7 @@ RT_RUNTIME_MAX_US = 2**31 - 1
 QUOTA_MAX_US = 2**44
 EXIT_STATUS_MAX = 255
 # Rows of a run in an archive's table of histograms: one for each step of the clock with a value. 100 MB in memory.
-BINS_MAX = 2**22
+BINS_MAX = 2**22  #: bins of a run in an archive
 # The kernel's PM QoS holds it in an int of C.
 CPU_DMA_LATENCY_MAX_US = 2**31 - 1
 # Once in a nanosecond.

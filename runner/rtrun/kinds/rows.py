@@ -31,7 +31,7 @@ class Stated:
     requested: Mapping[str, object]
 
 
-MAX_ABSENT = 10_000_000  # loops without a value, so that they fit into memory
+MAX_ABSENT = 10_000_000  #: loops of a run without a value, so that they fit into memory
 
 
 def disagree(path: Path) -> str:

@@ -36,10 +36,10 @@ from rtrun.plan.trace import PARAMETER as TRACE_PARAMETER
 from rtrun.plan.trace import SERIES as TRACE_SERIES
 from rtrun.plan.trace import read_trace, too_few, traced, with_warm_ups
 
-SUBSCRIBERS_MAX = 64
-REPEATS_MAX = 10_000
+SUBSCRIBERS_MAX = 64  #: subscribers of a run
+REPEATS_MAX = 10_000  #: repeats of a run
 # At a second each, enough runs for a day. A few lists can multiply to many millions.
-RUNS_MAX = 100_000
+RUNS_MAX = 100_000  #: runs of a campaign
 # Set by the runner alone.
 RESERVED = ("prefix", "out_dir", "awaited_subscribers")
 # What a variant may name in addition to values of a run: a folder of `rtgen suites build`, relative to the campaign

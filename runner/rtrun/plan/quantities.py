@@ -63,8 +63,7 @@ def time_text(time_ns: int) -> str:
 
 _SIZES = {"B": 1, "kB": 10**3, "MB": 10**6, "KiB": 2**10, "MiB": 2**20}
 _SIZE = re.compile(r"([0-9]{1,9}) ?(B|kB|MB|KiB|MiB)", re.ASCII)
-# The most bytes to send or touch at once: no message is larger, and boards have more memory.
-SIZE_BYTES_MAX = 2**28
+SIZE_BYTES_MAX = 2**28  #: a message of a topology, and what a node touches at once; boards have more memory
 
 
 def read_size_bytes(value: object) -> int:

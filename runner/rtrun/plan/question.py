@@ -9,9 +9,9 @@ from rtfiles.quantities import grouped, time
 from rtrun.kinds.lateness import LATENESS, Measure
 
 # The most consecutive loops that a tolerance may cover: a second at 1 kHz.
-AMONG_MAX = 1000
+AMONG_MAX = 1000  #: consecutive loops in which a goal tolerates misses
 # No goal asks for longer bursts.
-BURSTS_MAX = 1000
+BURSTS_MAX = 1000  #: misses in a row that a proof has to cover (`--bursts`)
 # The stall that a proof has to cover by default: a time slice or a page of flash takes this long, and a loop at 1 kHz
 # that is judged by lateness then misses ten times in a row.
 STALL_NS = 10_000_000

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 from rtfiles.untrusted import whole_number
 
-FIELDS_MAX = 200
-EVENT_BYTES_MAX = 65536
-# The largest memory page that Linux has on an architecture with probes.
-PAGE_BYTES_MAX = 65536
+FIELDS_MAX = 200  #: fields of an event of the kernel's trace
+EVENT_BYTES_MAX = 65536  #: such an event
+PAGE_BYTES_MAX = 65536  #: a page of such events: the largest that Linux has where there are probes
 _FIELD = re.compile(
     r"\s*field:([^;]{1,200}?)\s*(\w{1,64})(\[[^\];]{0,40}\])?;\s*offset:(\d{1,5});\s*size:(\d{1,5});\s*signed:([01]);",
     re.ASCII,

@@ -8,8 +8,7 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 _INTERPRETER = re.compile(r"python[0-9.]*")
-GAPS_MAX = 10_000
-"""The highest number of gaps of one cause in an observation; beyond that, gaps that lie close together become one."""
+GAPS_MAX = 10_000  #: gaps of one cause of an observation; beyond that, those that lie close together become one
 
 HITS_CLOCK, SYSTEM, RAW = "steady", "system", "raw"
 """The clock of the hits, CLOCK_MONOTONIC; CLOCK_REALTIME and CLOCK_MONOTONIC_RAW, whose offsets have to be read."""

@@ -13,11 +13,10 @@ START, EXPIRY, WAKING, SWITCH = EVENTS = (
     "timer/hrtimer_start", "timer/hrtimer_expire_entry", "sched/sched_waking", "sched/sched_switch",
 )  # fmt: skip
 """The events of loops; watch_probes.sh has the same in `loop_events`."""
-EVENTS_PER_S = 120_000
-"""How many events there may be in a second besides those of probes, while loops are observed. A cycle has five."""
+EVENTS_PER_S = 120_000  #: events a second besides those of probes, while loops are observed; a cycle has five
 BUFFER_KB = 8192
 """The kernel's memory for them, for each CPU: about a second at the limit."""
-THREADS_MAX = 100
+THREADS_MAX = 100  #: threads whose loops are observed at one time
 """Threads whose loops are observed at one time; watch_probes.sh has the same in `followed_max`."""
 
 

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 KIND = "probed-libraries"
 # Limits for the different files of all programs together: their number, their bytes, and the time to bring them here.
 # Further files get no probes. A robot has a handful, and each of its containers has one more of each.
-FILES_MAX = 256
-FILES_BYTES_MAX = 512 * MIB
-FETCH_S = 600.0
+FILES_MAX = 256  #: different files in which probes are placed
+FILES_BYTES_MAX = 512 * MIB  #: bytes of all these files
+FETCH_S = 600.0  #: bringing these files here
 # Long enough for a board to compute the checksums of some MiB from an SD card.
 LOOK_S = 120.0
 # Since Linux 5.3 several probes may form one event, and the kernel recognizes a second probe at the same place of the

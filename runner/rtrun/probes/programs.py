@@ -23,28 +23,25 @@ if TYPE_CHECKING:
     from rtrun.targets.link import Link
 
 # Limits for a listing, for the live programs of an observation, and for all that it ever had. More are left out.
-PROGRAMS_MAX = 2000
-THREADS_MAX = 20_000
-# Names, paths and arguments of all programs together, as they are in memory.
-TEXT_BYTES_MAX = 16 * MIB
-# What find_programs.sh may print of one program: a thread takes some 350 bytes.
-PROGRAM_BYTES_MAX = 8 * MIB
-ARGUMENTS_MAX = 1000
-LIBRARIES_MAX = 16
-# Different sets of CPUs that threads may run on.
-CPU_SETS_MAX = 256
+PROGRAMS_MAX = 2000  #: observed programs
+THREADS_MAX = 20_000  #: threads of observed programs
+TEXT_BYTES_MAX = 16 * MIB  #: names, paths and arguments of all observed programs, in memory
+PROGRAM_BYTES_MAX = 8 * MIB  #: what describes an observed program, as it comes: a thread takes some 350 bytes
+ARGUMENTS_MAX = 1000  #: arguments of an observed program
+LIBRARIES_MAX = 16  #: libraries with probes of an observed program
+CPU_SETS_MAX = 256  #: different sets of CPUs on which observed threads may run
 # A slow board with some hundred processes needs a second.
 FIND_S = 60.0
 # A name has 15 bytes at most (kernel threads have some more) and may contain anything: brackets, newlines. A byte that
 # is not UTF-8 is read as four characters.
-NAME_CHARACTERS_MAX = 256
+NAME_CHARACTERS_MAX = 256  #: characters of a thread's name
 _STAT = re.compile(r"^(\d{1,7}) \((.{0,256}?)\) [A-Za-z]((?: -?\d{1,20}){38,80})$", re.ASCII | re.DOTALL | re.MULTILINE)
 _MAPS = re.compile(r"([0-9a-f]{1,16}-[0-9a-f]{1,16}) ([0-9a-f]{1,8}:[0-9a-f]{1,8}) (\d{1,20}) (/.{1,16384})", re.ASCII)
-_CPUS_CHARACTERS_MAX = 65536
+_CPUS_CHARACTERS_MAX = 65536  #: characters of a set of CPUs of an observed thread
 # The sets share these numbers, which would otherwise take more memory than the sets.
 _EVERY_CPU = tuple(range(CPUS_MAX))
 _DELETED = " (deleted)"
-LINE_BYTES_MAX = 64 * 1024
+LINE_BYTES_MAX = 64 * 1024  #: a line of an observation
 CUT = "…"
 """Ends an argument that was not read to its end, and stands for arguments that were not read."""
 

@@ -39,12 +39,10 @@ SILENCE_S = 30
 SILENT = 4  # the exit status then
 # The script prints a round about once a second, or after a rest of 10 s at most. If nothing comes for QUIET_S, the
 # printing process was stopped or killed. To take the probes off, the script waits for its last events and their reader.
-QUIET_S = 40.0
-TAKE_OFF_S = 2.0 * SILENCE_S
-# Output that is still unread this long after the end is not read any more.
-LATE_S = 300.0
-# How many pieces, of up to 2 MiB, may have arrived and not been taken yet: with more, the target waits.
-_PIECES_MAX = 8
+QUIET_S = 40.0  #: silence after which the reader of an observation's probes counts as stopped
+TAKE_OFF_S = 2.0 * SILENCE_S  #: taking the probes off
+LATE_S = 300.0  #: reading the rest after the end of an observation
+_PIECES_MAX = 8  #: unread pieces of an observation, of up to 2 MiB; the target waits then
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -27,26 +27,25 @@ _END = b"rtrun end "
 # The last line. If the printing process was killed, this line comes within whatever was being printed.
 _TAKEN_OFF = re.compile(r"rtrun end (?:(done)|left .*)")
 # The format of an event has some KiB.
-_BLOCK_BYTES_MAX = 256 * 1024
-_FORMATS_MAX = 500
+_BLOCK_BYTES_MAX = 256 * 1024  #: a block of lines of an observation
+_FORMATS_MAX = 500  #: kinds of events of an observation
 # How many hits, and how many bytes of them, may wait for the end of their round: four seconds at the highest rate at
 # which the probes do not rest. Further hits are left out, and the time of that is recorded.
-_HITS_MAX = 160_000
-_HITS_BYTES_MAX = 24 * 1024 * 1024
+_HITS_MAX = 160_000  #: hits of probes that wait for the end of their round; others are a gap
+_HITS_BYTES_MAX = 24 * 1024 * 1024  #: these hits, as they come
 # The same for the kernel's events in an observation with a trace: four seconds at the highest rate. They take 50 MiB.
-_KERNEL_EVENTS_MAX = 500_000
-_KERNEL_BYTES_MAX = 32 * 1024 * 1024
-# Gaps of a round: further ones are joined with the last.
-_GAPS_MAX = 1000
-_ENDED_MAX = 20_000
-_PIDS_MAX = 2 * THREADS_MAX
+_KERNEL_EVENTS_MAX = 500_000  #: kernel events that wait for the end of their round, with a trace
+_KERNEL_BYTES_MAX = 32 * 1024 * 1024  #: these events, as they come
+_GAPS_MAX = 1000  #: gaps of a round; further ones are joined with the last
+_ENDED_MAX = 20_000  #: ended programs of a round
+_PIDS_MAX = 2 * THREADS_MAX  #: threads whose process is remembered
 # A round begins a second after the one before. At most this many more rounds than seconds may have come: they may have
 # waited to be read.
-_ROUNDS_AHEAD_MAX = 120
+_ROUNDS_AHEAD_MAX = 120  #: rounds beyond one a second
 # How long a round, or placing all probes, may take; a busy board takes some seconds. A pause in which this process
 # itself did not run counts no more than the time between two beats.
-_ROUND_MAX_S = 300.0
-_PAUSE_MAX_S = 10.0
+_ROUND_MAX_S = 300.0  #: a round of an observation, or placing all probes
+_PAUSE_MAX_S = 10.0  #: a time of a round in which nothing came
 # Rounds whose marks for CLOCK_MONOTONIC_RAW wait for their lines, and marks of a round: watch_probes.sh makes 16.
 _RAW_ROUNDS_MAX, _RAW_MARKS_MAX = 16, 100
 # Marks that lie so near one another are near enough, and so are those that are not twice as far as ever.

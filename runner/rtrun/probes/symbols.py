@@ -15,12 +15,11 @@ from rtfiles.untrusted import read_bytes
 from rtrun.probes.libraries.description import Architecture
 from rtrun.targets.inspection import architecture
 
-FILE_BYTES_MAX = 64 * 1024 * 1024
-# libroscpp has 5000.
-SYMBOLS_MAX = 200_000
+FILE_BYTES_MAX = 64 * 1024 * 1024  #: a library of the target whose functions are searched
+SYMBOLS_MAX = 200_000  #: symbols of such a library; libroscpp has 5000
 # The parts of a file that are loaded, and those that a linker knows: libraries have about 10 and 40.
-SEGMENTS_MAX = 256
-SECTIONS_MAX = 4096
+SEGMENTS_MAX = 256  #: segments of such a library
+SECTIONS_MAX = 4096  #: sections of such a library
 # elf(5): the structures of little-endian files by their bits, and which of their numbers are read. Header: where
 # segments and sections begin, the size and the number of each. Segment: type, flags, offset, address, size. Section:
 # type, offset, size, linked section. Symbol: name, value, type, section.

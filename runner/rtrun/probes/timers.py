@@ -8,7 +8,7 @@ shown it: a pointer taken for nanoseconds is a period of a day.
 from collections.abc import Hashable
 
 _PERIOD_MAX_NS = 7 * 24 * 3600 * 10**9
-_TIMERS_MAX = 10_000
+_TIMERS_MAX = 10_000  #: timers of observed programs that are kept in memory
 
 
 class TimerChecks:

@@ -32,7 +32,7 @@ _STATES = "SDTtXZPI"
 _SOFTIRQS = ("HI", "TIMER", "NET_TX", "NET_RX", "BLOCK", "IRQ_POLL", "TASKLET", "SCHED", "HRTIMER", "RCU")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 _SECRET = urandom(16)
-_NAMES_MAX = 20_000  # of threads in a trace
+_NAMES_MAX = 20_000  #: names of threads in a trace of an observation
 _SYSTEM_CALL = re.compile(r"sys_(enter|exit)_(\w+)", re.ASCII)
 
 

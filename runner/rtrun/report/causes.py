@@ -30,8 +30,8 @@ T = TypeVar("T")
 Found = tuple[Ranking, tuple[Explained, ...], tuple[str, ...]]
 """The ranking of culprits, the outliers it is based on, and the reason for each run with unreadable traces."""
 
-REMEDIES_MAX = 3
-NAMES_MAX = 5
+REMEDIES_MAX = 3  # shown
+NAMES_MAX = 5  # shown
 _RAISE = (
     "Most outliers have no trace: raise the limit of the campaign (trace: {above: ...}), so that fewer values ask for "
     "one while another is copied"

@@ -22,9 +22,9 @@ from rtrun.kinds.known import LOGS
 from rtrun.kinds.limits import TIME_MAX_NS
 from rtrun.kinds.messages import LATENCY
 
-MAX_SIZE_BYTES = 128 << 20  # 8 million lines: values up to 8 s
-MAX_LINE_BYTES = 1 << 20
-MAX_BINS = 2_000_000  # not empty: enough for values up to 2 s
+MAX_SIZE_BYTES = 128 << 20  #: a log that is read: 8 million lines, values up to 8 s
+MAX_LINE_BYTES = 1 << 20  #: a line of a log
+MAX_BINS = 2_000_000  #: bins with values in a log: enough for values up to 2 s
 
 # Within double quotes, gnuplot executes text between backquotes.
 _WORDS = r"[^\"`\\\x00-\x1f\x7f]*"

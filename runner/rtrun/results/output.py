@@ -11,7 +11,7 @@ from rtrun.plan.suites import Asked, Parameters
 from rtrun.results.rate import Rate
 
 # A separate type for each, so that an error names the wrong one.
-LIST_MAX = 20_000
+LIST_MAX = 20_000  #: entries of a list in a JSON file of a suite
 _LISTED = Field(max_length=LIST_MAX)
 # Threads of a suite that do not take part in the measurement: always with normal scheduling, on spare CPUs.
 NON_MEASURING_THREADS = frozenset({"rt_blocks", "rt_traces"})

@@ -7,7 +7,7 @@ import numpy as np
 from rtrun.results.samples import read_header
 
 ENDING = ".npy.part"
-MAX_COLUMNS = 99
+MAX_COLUMNS = 99  #: columns of samples that were cut off
 
 
 def salvage(part: Path) -> int | None:

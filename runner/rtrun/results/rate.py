@@ -5,7 +5,7 @@ from rtfiles.output import counted
 from rtrun.kinds.limits import Count, RateHz
 
 # A publisher that deviates more from the requested rate measured something else.
-OFF_MAX = 0.01
+OFF_MAX = 0.01  # a share of the rate
 
 
 class Rate(Config):

@@ -19,7 +19,7 @@ from rtrun.kinds.values import IndexedValues, Int64s
 from rtrun.plan.suites import described_suites, kind_of, suite
 from rtrun.results.output import Record
 
-MAX_NPY_BYTES = 4 << 30
+MAX_NPY_BYTES = 4 << 30  #: a file of samples that is read
 # An npy without rows is only its header: this size for a few columns, as the format rounds it up to 64 bytes.
 EMPTY_BYTES = 128
 _LEAD = b"\x93NUMPY\x01\x00"

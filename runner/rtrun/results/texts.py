@@ -9,8 +9,8 @@ from typing import IO
 from rtrun.results.columns import NoRoom, kept_in
 
 # Some thousand traces; one may be as long as a trace that is copied from a target.
-TEXT_BYTES_MAX = 256 * 1024 * 1024
-ONE_TEXT_BYTES_MAX = 64 * 1024 * 1024
+TEXT_BYTES_MAX = 256 * 1024 * 1024  #: text of all traces of an observation
+ONE_TEXT_BYTES_MAX = 64 * 1024 * 1024  #: text of one of these traces
 _PIECE_BYTES = 2**20
 
 

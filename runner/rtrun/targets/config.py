@@ -28,10 +28,10 @@ from rtrun.targets.ssh.ssh_config import address_of
 
 Word = Annotated[str, Field(min_length=1)]
 Command = Annotated[list[Word], Field(min_length=1)]
-# A week and a day: longer than anybody waits.
-RECONNECT_MAX_S, BOOT_MAX_S = 604_800, 86_400
+RECONNECT_MAX_S = 604_800  #: waiting for a lost target (`reconnect_s`), a week
+BOOT_MAX_S = 86_400  #: waiting for a board of a farm to boot (`boot_s`), a day
 # A kernel of 30 MiB is copied on a slow stick, and compared.
-CHOOSE_KERNEL_S = 120.0
+CHOOSE_KERNEL_S = 120.0  #: choosing the kernel that a restart boots
 
 
 # No part of the path may be . or .., since folders in it are removed.

@@ -19,11 +19,10 @@ from rtrun.targets.local import LocalShell
 from rtrun.targets.receiving import LARGE_BYTES, Receiver, is_faster_compressed, local_file, reading
 from rtrun.targets.shell import CHUNK_BYTES, OUTPUT_BYTES_MAX, Collector, Shell
 
-# How long a command on the target may take by default.
-COMMAND_S = 30.0
+COMMAND_S = 30.0  #: a command on the target, unless its caller sets another time
 # A transfer that is slower than this has failed. The time includes the work on a file after its arrival.
-TRANSFER_S = 120.0
-TRANSFER_BYTES_PER_S = 50_000
+TRANSFER_S = 120.0  #: a transfer and its check, besides the time for its bytes
+TRANSFER_BYTES_PER_S = 50_000  #: the slowest transfer that is accepted
 # Uses find, which prints while it reads. ls and the shell would sort the whole folder first.
 _LIST = """
 cd "$1" || exit 1

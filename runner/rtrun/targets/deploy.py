@@ -20,7 +20,7 @@ ON_TARGET = Path(__file__).parents[1] / "on_target"
 # another runner may be about to use its own.
 KEPT = 2
 # A slow board checks the suites, some MiB, in a second.
-CHECK_S = 120.0
+CHECK_S = 120.0  #: checking what was deployed on the target
 # Whether the tree exists with these checksums. If so, it counts as used now.
 _IS_WHOLE = 'cd "$1" 2>/dev/null && sha256sum -c - >/dev/null 2>&1 && touch .'
 # Prints "<object>: OK" for each object that is there and whole.

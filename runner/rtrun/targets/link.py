@@ -11,13 +11,13 @@ from rtrun.targets.connection import COMMAND_S, Completed, Connection
 from rtrun.targets.errors import ConnectionLost, TargetError, TargetGone
 
 RETRY_S = 0.5
-CONNECT_S = 10.0
-BREAKS_MAX = 5
+CONNECT_S = 10.0  #: each of the four steps of a connection
 # A booting emulated board accepts TCP connections long before its SSH server answers: give up early, try again.
-CONNECT_BOOTING_S = 3.0
+CONNECT_BOOTING_S = 3.0  #: such a step of a board that boots
 # Each try has more time than the last: a board on a busy host may need long for a handshake.
 CONNECT_GROWTH = 1.5
-CONNECT_MAX_S = 30.0
+CONNECT_MAX_S = 30.0  #: such a step after failures; it has more time with each try
+BREAKS_MAX = 5  #: broken connections during one step of a run
 # A console may have printed for days. Its last line is within this end.
 CONSOLE_END_BYTES = 16 * 1024
 

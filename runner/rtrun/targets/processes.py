@@ -23,9 +23,9 @@ WAIT_S = 15.0
 SLICE_S = 2.0
 POLL_S = 0.1
 # Programs that ignore SIGTERM are killed one after the other, two seconds each.
-END_BACKGROUND_S = 300.0
+END_BACKGROUND_S = 300.0  #: ending the programs of a run
 # To remove a folder with some million files from an SD card.
-REMOVE_S = 600.0
+REMOVE_S = 600.0  #: removing a folder from the target
 
 # A process of the target is forked as often, to sleep.
 FOLLOW_S = 2

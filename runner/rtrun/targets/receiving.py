@@ -17,7 +17,7 @@ from rtrun.targets.shell import CHUNK_BYTES, Shell
 LARGE_BYTES = 4 * 1024 * 1024
 # Two pieces of a large file are used to measure: its beginning plain, then as much compressed.
 _PIECE_BYTES = 2 * 1024 * 1024
-PIECE_S = 60.0
+PIECE_S = 60.0  #: each of the first two pieces of a large file, which decide whether to compress
 # A faster link is not the bottleneck: no board's processor compresses samples by gzip at this rate.
 _FAST_RATE = 50e6  # bytes/s
 # Compressing must be this much faster: the plain piece is slowed by the start of the connection, and a small gain is

@@ -12,7 +12,7 @@ from rtrun.targets.errors import TargetError
 from rtrun.targets.link import Link, TargetRebooted
 
 # A board that shuts down answers for some more seconds.
-SHUTDOWN_S = 180.0
+SHUTDOWN_S = 180.0  #: waiting for a target to go down when it restarts
 POLL_S = 1.0
 
 

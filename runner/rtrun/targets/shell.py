@@ -7,7 +7,7 @@ from typing import Any, Protocol
 CHUNK_BYTES = 32768
 # How much a command may print. The largest outputs that are read whole are the kernel's configuration, some 300 KiB,
 # and the CPU facts of a machine with a thousand CPUs. A list of the words of an output takes thirty times the memory.
-OUTPUT_BYTES_MAX = 2 * 1024 * 1024
+OUTPUT_BYTES_MAX = 2 * 1024 * 1024  #: output of a command on the target
 # How often `feed` is asked while a command waits for the end of its standard input.
 POLL_S = 0.2
 

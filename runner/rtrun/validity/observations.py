@@ -35,18 +35,17 @@ REPORTED_RIVALS = 32
 # The time between two observations.
 APART_S = 2.0
 # The observations of a month. The text of a sampler is limited as well.
-OBSERVATIONS_MAX = 1_500_000
+OBSERVATIONS_MAX = 1_500_000  #: observations of the sampler
 # The bytes of an observation on average, and what all may have on top; on small boards one has 200 to 1000.
-OBSERVATION_BYTES = 4096
-OUTPUT_BYTES = 8 * MIB
+OBSERVATION_BYTES = 4096  #: what the sampler of a run printed in two seconds, on average, as copied
+OUTPUT_BYTES = 8 * MIB  #: more than that of a whole run
 # The lines of the state at one moment: one for each real-time thread and each load, and a few more.
-STATE_LINES_MAX = 50_000
+STATE_LINES_MAX = 50_000  #: lines of one state that the sampler prints
 # CPUs in all the different sets that threads and loads may run on: enough for a month on a machine with hundreds.
-SETS_CPUS_MAX = 250_000
-# Different rivals of a run; more are left out.
-RIVALS_MAX = 10_000
+SETS_CPUS_MAX = 250_000  #: CPUs in all different sets that the sampler saw
+RIVALS_MAX = 10_000  #: different rivals of a run that the sampler saw; more are left out
 # Names in a line of counts: enough for a PC with many devices.
-COUNTS_MAX = 512
+COUNTS_MAX = 512  #: counts of an observation of the sampler
 # A line of the state is split at most so often: it may end with a name that has blanks.
 _SPLIT_WORDS = 24
 _COUNTS = re.compile(r"counts( [A-Za-z0-9_.:-]{1,64}=\d{1,15})*", re.ASCII)

@@ -12,8 +12,7 @@ from rtrun.validity.observations import APART_S, Observation, ThreadState, busy_
 
 # A program may take this long to get its policy. What is observed earlier is recorded, but makes no run invalid.
 STARTING_S = 10.0
-# Threads that a message names.
-NAMED_MAX = 5
+NAMED_MAX = 5  # threads that a message names
 # Parameters that the sampler sees, whatever a program says of itself.
 _OBSERVED = ("policy", "priority", "cpu")
 

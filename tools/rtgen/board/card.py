@@ -18,7 +18,7 @@ IMAGE = "card.img"
 HOST_KEY = "/etc/ssh/ssh_host_ed25519_key"
 LOGIN_KEYS = "/root/.ssh/authorized_keys"
 # Enough for thousands of keys.
-LOGIN_BYTES_MAX = 2**20
+LOGIN_BYTES_MAX = 2**20  #: a file of public keys for the login to a card
 MIB = 2**20
 # Room for several kernels, and for a copy of one while boot-kernel replaces what is started: some 45 MB each with UEFI
 # on arm64.

@@ -8,8 +8,8 @@ from pathlib import Path
 from rtfiles.errors import UsageError
 from rtfiles.untrusted import MIB, read_bytes
 
-# Limit of a decompressed config file. A finished .config of an ARM kernel has 200 kB.
-CONFIG_BYTES_MAX = 4 * MIB
+# A finished .config of an ARM kernel has 200 kB.
+CONFIG_BYTES_MAX = 4 * MIB  #: a kernel configuration, unpacked
 _GZIP_WBITS = 31  # for zlib.decompressobj
 
 _SET = re.compile(r'CONFIG_(\w+)=([ymn]|-?\d+|0x[0-9a-fA-F]+|"(?:[^"\\]|\\.)*")')

@@ -18,7 +18,7 @@ LEAST_COVERED = 0.6  # of the cycles have an event
 # First this many of the highest values are tried, then twice as many each time, so that one number is near that of the
 # cycles. The largest number keeps the search short.
 _LEAST_COUNT = 8
-_COUNT_MAX = 1 << 16
+_COUNT_MAX = 1 << 16  # values, so that the search is short
 # With n events, periods are tried that fit n / 4 to 2 n times into the run.
 _FEWER, _MORE = 4, 2
 # If half of the cycles have an event, these are n / 8 events at least, with a power of n / 64. The width of bins takes

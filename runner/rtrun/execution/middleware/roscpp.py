@@ -22,11 +22,10 @@ from rtrun.targets.inspection.facts import Installed
 from rtrun.targets.link import Link
 
 NAME = "rosmaster"
-START_S = 60.0
-ANSWER_S = 10.0
-REPLY_BYTES_MAX = 4 * 1024 * 1024
-# A master whose runner was killed ends on its own after a week.
-LIFE_S = 7 * 24 * 3600.0
+START_S = 60.0  #: start of a ROS master
+ANSWER_S = 10.0  #: an answer of the ROS master
+REPLY_BYTES_MAX = 4 * 1024 * 1024  #: such an answer
+LIFE_S = 7 * 24 * 3600.0  #: life of a ROS master whose runner was killed, a week
 CALLER = "/rtrun"
 TOPIC = "/communication_tests"
 

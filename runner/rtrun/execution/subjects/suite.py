@@ -22,9 +22,8 @@ AWAITED = "awaited_subscribers"
 # A suite that takes longer than this multiple of its expected time, plus this much, hangs.
 DEADLINE_FACTOR = 5
 DEADLINE_EXTRA_S = 120.0
-SUBSCRIBED_S = 60.0
-# The target ends a program at its deadline; the runner waits this much longer for that.
-END_GRACE_S = 60.0
+SUBSCRIBED_S = 60.0  #: waiting for subscribers to register
+END_GRACE_S = 60.0  #: more time for a program after its deadline on the target
 
 
 def deadline_of(run: Run) -> float:

@@ -23,8 +23,7 @@ from rtrun.kinds.values import no_values
 from rtrun.probes.hits import HITS_CLOCK
 from rtrun.results.columns import collected
 
-# At most this many calls wait: their lateness is not known before the timer's clock is read.
-_WAITING_MAX = 200_000
+_WAITING_MAX = 200_000  #: calls of a timer that wait for its clock to be read: their lateness is not known before
 
 
 def sources(observed: FlowAccumulator) -> Iterator["TimerSource"]:

@@ -18,11 +18,10 @@ from rtrun.plan.topology.topology import NodePath, Topology
 
 SUITE = "topology"
 """The suite of a run of a topology, whose streams are runs of the suites of their kinds."""
-PATHS_MAX = 32
+PATHS_MAX = 32  #: paths of a topology that are measured by default
 """If no paths are named, this many are measured, the longest ones: each becomes a run directory."""
 
-ACTIVATIONS_MAX = 10**9
-"""The most activations of a node in a run: the program keeps a row for each in memory."""
+ACTIVATIONS_MAX = 10**9  #: activations of a node of a topology in a run; its program keeps a row of each
 WARM_UP_NS = 500_000_000
 """How long the topology runs before the measuring; no stream includes this time."""
 _NAMED = 4

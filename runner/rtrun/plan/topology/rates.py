@@ -13,7 +13,7 @@ RT_SHARE = 0.95
 """The share of each CPU that real-time threads get by default: sched_rt_runtime_us (sched(7))."""
 NumberT = TypeVar("NumberT", int, float)
 _ROUNDING = 1e-9
-_UNIONS_MAX = 4096
+_UNIONS_MAX = 4096  #: sets of CPUs whose load is added up
 
 
 def rates_hz(topology: Topology) -> Mapping[str, float]:

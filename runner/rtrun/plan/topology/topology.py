@@ -16,7 +16,7 @@ from typing import Literal
 Policy = Literal["0", "FIFO", "RR"]
 Reliability = Literal["reliable", "best_effort"]
 
-NODES_MAX = 256
+NODES_MAX = 256  #: nodes of a topology, each a program or a thread
 # The most steps from node to node in a search for paths: some graphs of twenty nodes have too many paths to count.
 _STEPS = 10_000
 

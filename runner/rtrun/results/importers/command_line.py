@@ -16,10 +16,8 @@ from rtrun.plan.quantities import INTERVAL_MAX_US
 from rtrun.plan.suites import Value
 from rtrun.results.importers.counts import words_in
 
-COMMAND_MAX = 4096
-"""Characters of a command line; rt-tests cuts it off there."""
-OPTIONS_MAX = 256
-"""Characters of the options that distinguish runs but are not our parameters."""
+COMMAND_MAX = 4096  #: characters of the command line in an imported file, where rt-tests cuts it off
+OPTIONS_MAX = 256  #: characters of the options that tell imported runs apart, beside our parameters
 _MOST_BINS = 1_000_000  # cyclictest takes larger numbers as this one; it is not our limit
 
 _Takes = Literal["nothing", "value", "maybe"]

@@ -16,7 +16,7 @@ from rtrun.kinds.limits import COUNT_MAX
 
 NO_INTERVAL = "the interval: a proof takes it for 1 ms; --interval states it"
 NO_ORDER = "the order of the measurements: bursts and trends cannot be seen"
-MAX_BINS = 1_000_000  # with values, in all histograms of a file; cyclictest has at most as many
+MAX_BINS = 1_000_000  #: bins with values, in all histograms of an imported file; cyclictest has no more
 _KEY = re.compile(r"0|[1-9][0-9]{0,14}", re.ASCII)  # as %u prints it: different keys are different numbers
 _NO_MEAN = re.compile(r'"avg"\s*:\s*-?nan\b')
 _NUMBERED = re.compile(r'"([0-9]{1,15})"\s*:\s*\{', re.ASCII)

@@ -27,8 +27,8 @@ from rtrun.results.importers.counts import NO_INTERVAL
 from rtrun.results.importers.cyclictest import NO_OPTIONS, NO_UNIT, read_text
 from rtrun.results.importers.samples_file import ImportedSamples
 
-LINES_MAX = 20_000_000  # a value each, 8 bytes in memory
-_HISTOGRAM_BYTES_MAX = 16 * MIB
+LINES_MAX = 20_000_000  #: lines of a text of `cyclictest -v`
+_HISTOGRAM_BYTES_MAX = 16 * MIB  #: the histogram at the end of such a text
 _BEGINNING = 65_536
 _SAMPLE = re.compile(  # --smi adds a number of interrupts
     rb"[ \t]*([0-9]{1,5}):[ \t]*([0-9]{1,12}):[ \t]*([0-9]{1,15})(?:[ \t]+[0-9]{1,12})?[ \t]*\r?\n", re.ASCII

@@ -11,7 +11,7 @@ from rtrun.results.importers.histogram_file import Imported
 from rtrun.results.importers.samples_file import ImportedSamples
 from rtrun.results.importers.unreadable import recognise
 
-MAX_BYTES = 16 * MIB
+MAX_BYTES = 16 * MIB  #: a file that is imported
 READS = (
     "a log of 2014 or of a suite, cyclictest -h, -v or --json, jitterdebugger's results.json, rtla timerlat hist, "
     "rteval's summary.xml"

@@ -17,7 +17,7 @@ from rtrun.results.importers.counts import MAX_BINS
 from rtrun.results.importers.origin import NOWHERE, FileOrigin
 
 ENDING = ".histogram.json"
-MAX_BYTES = 64 * MIB
+MAX_BYTES = 64 * MIB  #: a histogram of an imported file
 
 
 class _File(Config):

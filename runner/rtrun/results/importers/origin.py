@@ -10,8 +10,7 @@ from rtrun.results.importers.counts import words_in
 from rtrun.results.record import moment
 from rtrun.targets.inspection.facts import TargetState, is_preempt_rt
 
-UTSNAME_MAX = 64
-"""Characters of a uname(2) text, and of a time."""
+UTSNAME_MAX = 64  #: characters of a host, kernel or time in an imported file
 _TIME = "%a, %d %b %Y %H:%M:%S %z"  # Thu, 26 Nov 2026 11:18:02 +0000
 
 

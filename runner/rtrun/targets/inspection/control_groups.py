@@ -18,8 +18,8 @@ from rtrun.targets.deploy import ON_TARGET
 
 SCRIPT = ON_TARGET / "cgroups.sh"
 # Groups are no deeper than folders: PATH_MAX.
-PATH_MAX = 4096
-GROUPS_MAX = 256
+PATH_MAX = 4096  #: characters of the path of a control group
+GROUPS_MAX = 256  #: control groups above a program
 # The default of sched_rt_period_us, and how much of it real-time threads may have by default.
 KERNEL_PERIOD_US, KERNEL_RUNTIME_US = 1_000_000, 950_000
 _NANOSECONDS = {"throttled_time": 1, "throttled_usec": 1000}

@@ -47,8 +47,7 @@ _FACTS = frozenset(("missing", "no_locks", "program", "elf", "debian", "cpus", "
 _INSTALLED = frozenset(("setup", "server", "version", "program"))
 # Comes before the output of the script of a middleware.
 _MIDDLEWARE = "== middleware "
-# Characters of the version of a middleware, such as 1.17.0.
-VERSION_MAX = 64
+VERSION_MAX = 64  #: characters of the version of a middleware
 # Limits of the file that says what suites were built with.
 BUILT_WITH_MAX, BUILT_WITH_CHARACTERS = 32, 200
 _NAME = re.compile("[a-z][a-z0-9_]{0,63}")
@@ -56,7 +55,7 @@ _NAME = re.compile("[a-z][a-z0-9_]{0,63}")
 _TEXTS = ("cpuinfo", "memory", "os_release")
 # Lines of /proc/cpuinfo that name a board (ARM) or a processor.
 _MODELS = ("Model", "Hardware", "model name")
-NAME_MAX = 100
+NAME_MAX = 100  #: characters of the name of a board or processor
 _MEMORY = re.compile(r"^MemTotal:[ \t]*([0-9]{1,15}) kB$", re.ASCII | re.MULTILINE)
 
 Fact = str | list[str] | None

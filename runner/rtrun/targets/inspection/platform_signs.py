@@ -17,8 +17,8 @@ DATA = Path(__file__).with_suffix(".yml")
 SCRIPT = ON_TARGET / "platform.sh"
 NO_SIGN = "no sign of a virtual machine"
 # How much of platform.sh's output is read, as a target may make it as long as it likes, and how much is shown.
-LINES_MAX = 200
-LINE_CHARACTERS_MAX = 400
+LINES_MAX = 200  #: lines searched for signs of a virtual machine
+LINE_CHARACTERS_MAX = 400  #: characters of such a line
 SHOWN_LINES = 4
 SHOWN_CHARACTERS = 80
 

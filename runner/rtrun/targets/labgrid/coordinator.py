@@ -19,8 +19,8 @@ from rtrun.targets.labgrid.environment import Environment
 
 COORDINATOR = "127.0.0.1:20408"
 # A client starts, connects and waits for the exporter, whose power switch may pause for some seconds.
-CLIENT_S = 120.0
-ANSWER_S = 15.0
+CLIENT_S = 120.0  #: a call of labgrid's client
+ANSWER_S = 15.0  #: an answer of a labgrid coordinator
 QUARANTINE = "quarantine"
 """The tag of a place that failed its health check twice; its value is the reason."""
 # The client reads these, too.

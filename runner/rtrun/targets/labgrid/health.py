@@ -14,7 +14,7 @@ from rtrun.targets.labgrid.coordinator import QUARANTINE
 
 FAILED = "failed_check"
 HEALTHY = "healthy"
-_REASON_MAX = 100  # characters
+_REASON_MAX = 100  #: characters of the reason in a tag of a labgrid place
 
 
 def after_failure(tags: Mapping[str, str], reason: str, today: date) -> dict[str, str]:

@@ -54,7 +54,7 @@ cat
 "$@" release-from "$user"
 """
 # What the client prints when it acquires a place are some lines.
-_PRINTED_MAX = 65536  # characters
+_PRINTED_MAX = 65536  #: characters that labgrid's client prints
 POWER_CYCLES = "power_cycles"
 """The tag that counts how often rtrun switched the power of a place off and on."""
 

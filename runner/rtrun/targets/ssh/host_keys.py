@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import paramiko
 
 CERTIFICATE = "-cert-v01@openssh.com"
-KNOWN_HOSTS_BYTES_MAX = 8 * untrusted.MIB
+KNOWN_HOSTS_BYTES_MAX = 8 * untrusted.MIB  #: a known_hosts file
 # The number of fields of a public key, which are between the nonce and the serial number of its certificate.
 _KEY_FIELDS = {
     "ssh-ed25519": 1,

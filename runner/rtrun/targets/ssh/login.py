@@ -18,12 +18,12 @@ from rtfiles.output import print_status
 from rtrun.targets.address import Address
 from rtrun.targets.errors import TargetError
 
-AGENT_S = 30.0
+AGENT_S = 30.0  #: an answer of the SSH agent
 """How long the agent may take to answer: a hardware key waits for a touch."""
-AGENT_KEYS_MAX = 32
+AGENT_KEYS_MAX = 32  #: keys taken from the SSH agent
 # As OpenSSH (NumberOfPasswordPrompts).
 PROMPTS = 3
-PUBLIC_KEY_BYTES_MAX = 64 * 1024
+PUBLIC_KEY_BYTES_MAX = 64 * 1024  #: a public key file
 
 
 class Refused(TargetError):

@@ -19,10 +19,10 @@ from rtrun.targets.address import Address, check_host
 from rtrun.targets.ssh.host_keys import matches
 
 FILE = Path("~/.ssh/config")
-SSH_CONFIG_BYTES_MAX = untrusted.MIB
+SSH_CONFIG_BYTES_MAX = untrusted.MIB  #: `~/.ssh/config`, and each file that it includes
 # Includes as in OpenSSH. A jump host may have a jump host of its own, so their number is limited, too.
-INCLUDES_MAX = 16
-JUMPS_MAX = 8
+INCLUDES_MAX = 16  #: files of `~/.ssh/config` that include each other
+JUMPS_MAX = 8  #: jump hosts before a target
 DEFAULT_IDENTITIES = ["~/.ssh/id_rsa", "~/.ssh/id_ecdsa", "~/.ssh/id_ed25519"]
 DEFAULT_KNOWN_HOSTS = ["~/.ssh/known_hosts"]
 _READ = frozenset(

@@ -22,8 +22,7 @@ from rtrun.targets.ssh.transport import FORBIDDEN, connect, reason, shutting_dow
 # All that a window holds: each time a part is taken, paramiko moves the rest of its buffer, up to 2 MiB.
 _READ_BYTES = 2 * 1024 * 1024
 KILL_GRACE_S = 5.0
-# Time beyond the deadline of a command, to end it and to wait for the answers.
-GRACE_S = 3 * KILL_GRACE_S
+GRACE_S = 3 * KILL_GRACE_S  #: more time to end a command that takes too long, and to wait for the answers
 _WORD = "RTRUN_COMMAND"
 _SECRET = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", re.ASCII)
 # Whatever the login sets, others must not write to new files. The target draws the secret: if the runner drew it, the

@@ -26,18 +26,18 @@ from rtrun.targets.ssh.host_keys import (
 from rtrun.targets.ssh.login import HungUp, Refused, log_in, read_keys, unlock
 
 # Enough to see a silent link die within about 20 s, rare enough not to disturb a measurement.
-KEEPALIVE_S = 10
+KEEPALIVE_S = 10  #: silence of a connection before a keepalive
 USER_TIMEOUT_MS = 20_000
 # AES-GCM needs one pass, CTR with a MAC needs two. Outdated ciphers are not offered at all.
 CIPHERS = ("aes128-gcm@openssh.com", "aes256-gcm@openssh.com", "aes128-ctr", "aes192-ctr", "aes256-ctr")
 # The two windows of a channel, 2 MiB each, and their overhead.
-UNREAD_BYTES_MAX = 5 * 1024 * 1024
+UNREAD_BYTES_MAX = 5 * 1024 * 1024  #: unread bytes of a connection
 # Connecting takes several steps of `timeout_s` each at most.
 CONNECT_STEPS = 4
 # "Administratively prohibited" (RFC 4254, section 5.1).
 FORBIDDEN = 1
 # paramiko's own timeout comes first, and says more.
-JUMP_GRACE_S = 5.0
+JUMP_GRACE_S = 5.0  #: more time for a connection through a jump host
 
 # Our exceptions report errors. paramiko would print a traceback for a board that is still booting.
 logging.getLogger("paramiko").addHandler(logging.NullHandler())
