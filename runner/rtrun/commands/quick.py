@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 HELP = "a first answer in a minute, without a file: which P(miss) is proven, what was worst, and why"
 EXAMPLES = (
-    "rtrun quick",
     "rtrun quick --deadline 500us --target root@robot.local --for 10m",
     "rtrun quick --thread ros2_control_node --deadline 200us --target root@robot.local",
 )

@@ -83,7 +83,8 @@ def _follows(verdict: Verdict) -> list[str]:
         return [f"no statement, {verdict.refused}", *startup]
     match verdict.answer:
         case Answer.REFUTED:
-            return [f"too many, at least {at_least_in(verdict.lower)} are {late}", *startup]
+            changed = [f"{verdict.change.what} ({verdict.change.text})"] if verdict.change else []
+            return [f"too many, at least {at_least_in(verdict.lower)} are {late}", *changed, *startup]
         case Answer.PROVEN:
             return [most, *startup]
         case Answer.IF_INDEPENDENT:
