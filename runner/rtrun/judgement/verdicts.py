@@ -34,10 +34,17 @@ _COUNTED = {
 }
 
 
-def counts_in_words(answers: Sequence[str], yes: str = "met", no: str = "not met") -> str:
-    """In how many scenarios a deadline is met; those without a deadline do not count."""
-    counts = {each: answers.count(each) for each in _COUNTED}
-    return ", ".join(_COUNTED[each].format(yes=yes, no=no, n=n) for each, n in counts.items() if n)
+def counts_in_words(answers: Sequence[str], yes: str = "met", no: str = "not met", of_what: str = "") -> str:
+    """In how many scenarios a deadline is met; those without a deadline do not count.
+
+    `of_what` follows the first number.
+    """
+    counts = [(answer, n) for answer in _COUNTED if (n := answers.count(answer))]
+    whats = (of_what, *("" for _ in counts[1:]))
+    return ", ".join(
+        _COUNTED[answer].format(yes=yes, no=no, n=f"{n}{what}")
+        for (answer, n), what in zip(counts, whats, strict=False)
+    )
 
 
 def severity(answer: str, worst_ns: int | None) -> tuple[int, float]:
@@ -184,15 +191,15 @@ def _between(verdict: Verdict) -> str:
 def scope_in_short(verdict: Verdict) -> str:
     """What a proof holds for, in a few words."""
     unlike = verdict.unlike_boots
-    share = (
-        f" (boots of another kind, up to {percent_at_most(unlike.share)} of all, may not have been among them)"
-        if unlike and unlike.measured > 1
-        else ""
-    )
+    share = ""
+    if unlike and unlike.measured > 1:
+        most = percent_at_most(unlike.share)
+        share = f" ({unlike.measured} boots can miss another kind, even one that is {most} of all boots)"
     if verdict.answer == Answer.IF_INDEPENDENT:
         return f"{boots_in_words(verdict)}{share}, unless late values come in bursts"
     whole = math.floor(verdict.longest_burst)
-    bursts = f"even if late values come {grouped(whole)} in a row" if whole > 1 else "if late values come singly"
+    asked = f" ({grouped(verdict.bursts.length)} asked)" if 1 < verdict.bursts.length < whole else ""
+    bursts = f"even if late values come {grouped(whole)} in a row{asked}" if whole > 1 else "if late values come singly"
     if whole <= 1 and verdict.bursts.why == "stall":
         bursts += f" (a burst of {time(STALL_NS)} has one)"
     return f"{boots_in_words(verdict)}{share}, {bursts}"
@@ -336,7 +343,7 @@ def _more(verdict: Verdict) -> list[str]:
         answer, count = verdict.further_likely
         parts.append(f"{AS_OFTEN}, {answer} after {amount(verdict, count)} nine times in ten")
     elif verdict.misses and verdict.further_likely is None:
-        parts.append(f"{AS_OFTEN}, no number is likely to decide it")
+        parts.append(f"{AS_OFTEN}, no number of measurements is likely to decide it")
     return parts
 
 
@@ -344,8 +351,10 @@ def if_no_miss_comes(verdict: Verdict) -> str:
     """On which condition `further` measurements prove it, and how likely that is where no miss was seen."""
     if verdict.misses:
         return "if no other miss comes"
-    chance = f" ({percent(verdict.further_chance)} likely)" if verdict.further_chance < 0.995 else ""
-    return f"if no miss comes{chance}"
+    if verdict.further_chance >= 0.995 or not verdict.n:
+        return "if no miss comes"
+    chance = f"the chance of that is {percent(verdict.further_chance)}"
+    return f"if no miss comes; after {grouped(verdict.n)} without one, {chance}"
 
 
 def amount(verdict: Verdict, count: int, what: str = "more measurements") -> str:

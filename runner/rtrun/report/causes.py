@@ -168,7 +168,7 @@ def answer(ranking: Ranking) -> str:
     if (named := ranking.named or (first if is_half else None)) is not None:
         if named.kind in (Kind.UNEXPLAINED, Kind.OUTSIDE):
             return _not_known(ranking, named)
-        perhaps = "Perhaps " if ranking.is_by_chance(named) else ""
+        perhaps = "Perhaps: " if ranking.is_by_chance(named) else ""
         chance = ", which may be by chance" if perhaps else ""
         return (
             f"{perhaps}{culprit_name(named)}: the main cause of {named.main} of {outliers}, "

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from rtfiles.output import counted
-from rtfiles.quantities import at_least_in, at_most_in, duration, grouped, time
+from rtfiles.quantities import at_least_in, at_most_in, duration, grouped, one_in, time
 from rtrun.analysis.deadline import Answer, Verdict
 from rtrun.judgement.study import Study
 from rtrun.judgement.verdicts import (
@@ -96,17 +96,18 @@ def _follows(verdict: Verdict) -> list[str]:
 def _open(verdict: Verdict, most: str) -> list[str]:
     """Why it is not decided, and what decides it."""
     if hidden := hidden_in_words(verdict):
-        return [f"no rate can be given: {hidden}"]
+        return [f"no upper limit can be given: {hidden}"]
     if verdict.change is not None:
-        return [f"{verdict.change.what}, so no rate can be given ({verdict.change.text})"]
+        return [f"{verdict.change.what}, so no upper limit can be given ({verdict.change.text})"]
+    asked = one_in(verdict.question.probability)
     decided = verdict.decided_after
     if decided is not None and decided[0] is Answer.REFUTED:
-        return [f"probably too many; {_measuring(verdict, decided[1])} would prove that"]
-    parts, prove = [most], "prove it"
+        return [f"probably more than {asked}; {_measuring(verdict, decided[1])} would prove that"]
+    parts, prove = [most], f"prove at most {asked}"
     if is_short_of_bursts(verdict):
         longest = int(verdict.longest_burst)
         parts = [f"{most} if {f'no more than {longest} come in a row' if longest > 1 else 'they come singly'}"]
-        prove = f"prove it even if they come {verdict.bursts.length} in a row"
+        prove += f", even if they come {verdict.bursts.length} in a row"
     if verdict.boots_missing:
         parts.append(f"{counted(verdict.boots_missing, 'more boot')} missing")
     if decided is None:
@@ -123,6 +124,7 @@ def _measuring(verdict: Verdict, count: int) -> str:
 
 
 def answers_in_words(answers: Sequence[str], probability: str) -> str:
-    """How many tests meet a question: "At most 1 in 100 late? No in 1, yes in 3."."""
-    met = counts_in_words(answers, "yes", "no")
+    """How many tests meet a question: "At most 1 in 100 late? No in 1 of 4 tests, yes in 3."."""
+    tests = sum(answer != Answer.NO_DEADLINE for answer in answers)
+    met = counts_in_words(answers, "yes", "no", " test" if tests == 1 else f" of {tests} tests")
     return f"At most {probability} late? {met[:1].upper()}{met[1:]}."

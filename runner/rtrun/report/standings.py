@@ -61,7 +61,7 @@ def reasons(standings: Sequence[Standing]) -> Iterator[str]:
             by_reason.setdefault(text, []).append(_name(standing))
     for text, names in by_reason.items():
         everywhere = len(names) > 1 and len(names) == len(standings)
-        yield printable(f"{'all groups' if everywhere else ', '.join(names)}: {text}")
+        yield printable(f"{'all groups' if everywhere else ' and '.join(names)}: {text}")
 
 
 def _name(standing: Standing) -> str:
@@ -121,7 +121,7 @@ def missing(standing: Standing) -> str:
     if is_short_of_bursts(verdict):
         parts.append(f"for {held_for(verdict)} it already holds")
     if verdict.decided_after is None:
-        parts.append(f"{AS_OFTEN}, no number is likely to decide it")
+        parts.append(f"{AS_OFTEN}, no number of measurements is likely to decide it")
         return "; ".join(parts)
     answer, further = verdict.decided_after
     if further and verdict.misses:

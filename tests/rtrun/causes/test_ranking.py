@@ -77,7 +77,7 @@ def test_who_has_the_cpu_often_is_there_by_chance_in_a_few_outliers():
     stopped = [outlier((Kind.TIMER_LATE, "load", 1000), usual={"load": 400}, pid=pid) for pid in range(10)]
     made = rank(stopped[:3])
     assert made.named is None
-    assert answer(made).startswith("Perhaps timer interrupt late during load (3 threads of this name): the main cause")
+    assert answer(made).startswith("Perhaps: timer interrupt late during load (3 threads of this name): the main cause")
     assert rank(stopped).named is not None, "of ten outliers it is no chance"
 
 

@@ -67,14 +67,18 @@ ADDED = "for the system measure on 5 boots or more"
 @pytest.mark.parametrize(
     ("measured", "question", "said"),
     [
-        (trials(0), QUESTION, "3 688 more measurements (4 s) prove it if no miss comes (0 % likely)"),
+        (trials(0), QUESTION, "3 688 more measurements (4 s) prove it if no miss comes"),
         (
             trials(1000),
             QUESTION,
-            "2 688 more measurements (3 s) prove it if no miss comes (52 % likely)",
+            "2 688 more measurements (3 s) prove it if no miss comes; after 1 000 without one, the chance of that is 52",
         ),
         (trials(4000, 2000), QUESTION, "prove it if no other miss comes; if misses stay as frequent, PROVEN after "),
-        (trials(2000, 100, 700, 1200, 1900), QUESTION, "if misses stay as frequent, no number is likely to decide it"),
+        (
+            trials(2000, 100, 700, 1200, 1900),
+            QUESTION,
+            "if misses stay as frequent, no number of measurements is likely to decide it",
+        ),
         (trials(2000, *range(50, 2000, 310)), QUESTION, "if misses stay as frequent, REFUTED after"),
         (trials(4500), replace(QUESTION, boots=3), "worst 51.00 us; 2 more boots"),
         (trials(4000), QUESTION, "holds for misses that come singly (without a miss, 69 7"),
@@ -110,7 +114,7 @@ ADDED = "for the system measure on 5 boots or more"
         (
             trials(4000),
             replace(QUESTION, bursts=20),
-            "69 776 more measurements (1 min 10 s) prove it if no miss comes (",
+            "69 776 more measurements (1 min 10 s) prove it if no miss comes; after 4 000 without one",
         ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -142,8 +146,8 @@ def test_a_change_is_said_before_anything_else():
         (trials(4000), "in this boot, if late values come singly"),
         (
             trials(100_000, boots=5),
-            "on boots like the 5 that were measured (boots of another kind, up to 53 % of all, may not have been among "
-            "them), even if late values come 22 in a row",
+            "on boots like the 5 that were measured (5 boots can miss another kind, even one that is 53 % of all "
+            "boots), even if late values come 22 in a row",
         ),
     ],
 )

@@ -48,12 +48,12 @@ def late(count: int, n: int) -> np.ndarray:
         (
             late(0, 300),
             {"probability": 1e-3, "bursts": 1},
-            "1 000 are late; 4 s more of measuring without a late one prove it",
+            "1 000 are late; 4 s more of measuring without a late one prove at most 1 in 1 000",
         ),
         (
             late(0, 5000),
             {"probability": 1e-3},
-            "32 s more of measuring without a late one prove it even if they come 9 in a row",
+            "32 s more of measuring without a late one prove at most 1 in 1 000, even if they come 9 in a row",
         ),
     ],
 )
@@ -71,7 +71,7 @@ def test_what_changed_prevents_a_rate(tmp_path):
     values[:40:2] = 5 * DEADLINE_NS
     values[10_000:10_400:3] = 5 * DEADLINE_NS
     assert (
-        "the system changed while it was measured, so no rate can be given ("
+        "the system changed while it was measured, so no upper limit can be given ("
         in said(tmp_path, values, probability=1e-3)[1]
     )
 
@@ -85,7 +85,9 @@ def test_the_headline_says_where_the_deadline_was_missed(tmp_path, count, text):
 
 def test_answers_are_counted_in_words():
     answers = ["PROVEN", "REFUTED", "PROVEN", "NEEDS MORE", "no deadline"]
-    assert answers_in_words(answers, "1 in 100") == "At most 1 in 100 late? No in 1, yes in 2, not known yet in 1."
+    assert answers_in_words(answers, "1 in 100") == (
+        "At most 1 in 100 late? No in 1 of 4 tests, yes in 2, not known yet in 1."
+    )
 
 
 @pytest.mark.parametrize("values", [late(0, 5000), late(8, 12_000), late(900, 3000)])

@@ -254,7 +254,9 @@ def _alone(boots: Sequence[Boot], probability: float, confidence: float) -> list
     for boot in boots:
         effect = _effect_alone(boot)
         p_value = chance_of_so_many(boot.misses / effect, boot.measured / effect, probability)
-        text = f"one boot of {len(boots)} missed {grouped(boot.misses)} of {grouped(boot.measured)} on its own"
-        sign = Change(p_value=p_value, significant=1 - confidence, text=text, what="a boot is worse than what is asked")
+        text = f"the worst of {len(boots)} boots missed {grouped(boot.misses)} of {grouped(boot.measured)}"
+        sign = Change(
+            p_value=p_value, significant=1 - confidence, text=text, what="a boot alone misses more often than asked"
+        )
         changes.append(sign)
     return changes

@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtfiles.output import counted
 from rtrun.analysis.chance.distributions import Floats, binomial_above, chi_squared_above
 from rtrun.analysis.order.units_in_order import find_order
 from rtrun.kinds.values import Int64s
@@ -100,7 +99,7 @@ def _by_places(positions: Int64s, loops: int, events: str, significant: float) -
     ends_p, count, fraction = test_of_ends(starts, loops)
     where = "last" if fraction > 0 else "first"
     if starts.size < positions.size:
-        events = f"groups of {events}"
+        events = f"bursts of {events}"
     ends = Change(
         p_value=ends_p,
         significant=significant,
@@ -124,8 +123,8 @@ def _uneven(counts: Int64s, events: str) -> str:
         return f"{events} do not come evenly, in eighths of a run: {', '.join(map(str, counts))}"
     inside = f"{_out_of(counts[more].sum(), counts.sum())} {events} lie in"
     if not first or last == PARTS - 1:
-        return f"{inside} the {'last' if first else 'first'} {counted(more.size, 'eighth')} of a run"
-    return f"{inside} {counted(more.size, 'eighth')} of a run, after {100 * first / PARTS:.3g} % of it"
+        return f"{inside} the {'last' if first else 'first'} {100 * more.size / PARTS:.3g} % of a run"
+    return f"{inside} {100 * more.size / PARTS:.3g} % of a run, after {100 * first / PARTS:.3g} % of it"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
