@@ -71,7 +71,7 @@ ADDED = "for the system measure on 5 boots or more"
         (
             trials(1000),
             QUESTION,
-            "2 688 more measurements (3 s) prove it if no miss comes; after 1 000 without one, the chance of that is 52",
+            "2 688 more measurements (3 s) prove it if no miss comes; after 1 000 without one, the chance of that is",
         ),
         (trials(4000, 2000), QUESTION, "prove it if no other miss comes; if misses stay as frequent, PROVEN after "),
         (
