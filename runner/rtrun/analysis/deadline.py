@@ -138,7 +138,7 @@ class Verdict:
     @property
     def unlike_boots(self) -> Unlike | None:
         """The boots in `unlike`; None where the boots are not known."""
-        return next((each for each in self.unlike if each.unit == "boot"), None)
+        return next((unlike for unlike in self.unlike if unlike.unit == "boot"), None)
 
     def hours(self, measurements: int) -> float | None:
         """How long so many measurements take; None when the period is not known."""
@@ -162,7 +162,7 @@ def judge(account: Account, question: Question) -> Verdict:
     runs = sorted(account.runs, key=lambda run: run.start_time)
     late, absent = sum(run.late for run in runs), sum(run.absent for run in runs)
     alike = count_alike(runs)
-    n, misses = math.floor(sum(each.n for each in alike)), sum(each.misses for each in alike)
+    n, misses = math.floor(sum(run.n for run in alike)), sum(run.misses for run in alike)
     joined = join_boots(runs)
     constancy = examine_constancy(joined, probability=probability, confidence=confidence, deadline_ns=question.limit_ns)
     effect, assumes = _effect(runs, alike, constancy.clusters, question, account.measurements_per_event)
@@ -172,8 +172,8 @@ def judge(account: Account, question: Question) -> Verdict:
     upper = anytime_upper(misses / effect, n / effect, of_measured)
     surely = misses
     if unclear := sum(run.unclear for run in runs):
-        # A value that may have met the deadline counts as late for a proof, and as in time for a refutation.
-        surely = sum(each.misses - each.share * run.unclear for run, each in zip(runs, alike, strict=True))
+        # What may have met the deadline counts as late for a proof, and as in time for a refutation.
+        surely = sum(counted.misses - counted.share * run.unclear for run, counted in zip(runs, alike, strict=True))
         assumes = (
             *assumes,
             f"{unclear} values within a step of the clock, or a bin of a log, of the deadline are late",
@@ -254,12 +254,11 @@ def judge(account: Account, question: Question) -> Verdict:
 
 
 def _later_refutes(alike: Sequence[CountedRun], effect: float, probability: float, confidence: float) -> bool:
-    """Whether the later half of the measurements refutes on its own: a system that got better is no longer what it
-    was."""
-    half = sum(each.n for each in alike) / 2
-    middles = np.cumsum([each.n for each in alike]) - [each.n / 2 for each in alike]
-    later = [each for each, middle in zip(alike, middles, strict=True) if middle >= half]
-    n, misses = sum(each.n for each in later), sum(each.misses for each in later)
+    """Whether the later half of the measurements refutes alone: a system that got better is no longer what it was."""
+    half = sum(run.n for run in alike) / 2
+    middles = np.cumsum([run.n for run in alike]) - [run.n / 2 for run in alike]
+    later = [run for run, middle in zip(alike, middles, strict=True) if middle >= half]
+    n, misses = sum(run.n for run in later), sum(run.misses for run in later)
     return anytime_lower(misses / effect, n / effect, confidence) > probability
 
 
@@ -316,21 +315,23 @@ def _episodes(runs: Sequence[Trials], question: Question, account: Account, conf
     if len(found) < len(runs) or not found:
         return None
     begun = [
-        replace(run, late=each.begun.count, absent=0, misses=each.begun, missed_at=each.begun_at, level=None)
-        for run, each in zip(runs, found, strict=True)
+        replace(
+            run, late=episodes.begun.count, absent=0, misses=episodes.begun, missed_at=episodes.begun_at, level=None
+        )
+        for run, episodes in zip(runs, found, strict=True)
     ]
     bound = None
     if account.stream_ns is not None and not account.lost and not account.hidden_share:
         alike = count_alike(begun)
         single = replace(question, tolerance=NONE_TOLERATED)
         effect, _ = _effect(begun, alike, (), single, account.measurements_per_event)
-        n, count = sum(each.n for each in alike), sum(each.misses for each in alike)
+        n, count = sum(run.n for run in alike), sum(run.misses for run in alike)
         bound = per_hour(anytime_upper(count / effect, n / effect, confidence), account.stream_ns)
-    longest_loops = max(each.longest_loops for each in found)
+    longest_loops = max(episodes.longest_loops for episodes in found)
     return Episodes(
-        seen=sum(each.begun.count for each in found),
-        longest_misses=max(each.longest_misses for each in found),
-        most_in_a_row=max(each.most_in_a_row for each in found),
+        seen=sum(episodes.begun.count for episodes in found),
+        longest_misses=max(episodes.longest_misses for episodes in found),
+        most_in_a_row=max(episodes.most_in_a_row for episodes in found),
         longest_ns=None if account.stream_ns is None else longest_loops * account.stream_ns,
         per_hour_at_most=bound,
     )
@@ -351,7 +352,9 @@ def _further_for_bursts(
 ) -> tuple[tuple[int, int], ...]:
     """(length of bursts, measurements without a miss that would cover them), for lengths that are not covered yet."""
     asked = [(length, replace(question, bursts=length * per_event)) for length in BURSTS]
-    return tuple((length, more) for length, each in asked if (more := missing_without_miss(misses, n, effect, each)))
+    return tuple(
+        (length, more) for length, longer in asked if (more := missing_without_miss(misses, n, effect, longer))
+    )
 
 
 def _effect(
@@ -365,7 +368,7 @@ def _effect(
     of_runs, assumes = _effect_of_runs(runs, alike, question.confidence, per_event)
     of_clusters = _effect_of_clusters(clusters, question.confidence)
     effect = max(of_runs, of_clusters, _least_effect(question, per_event))
-    return min(effect, max(1.0, sum(each.n for each in alike))), assumes
+    return min(effect, max(1.0, sum(run.n for run in alike))), assumes
 
 
 def _least_effect(question: Question, per_event: int) -> float:

@@ -41,8 +41,8 @@ def response_bound(task: PeriodicTask, others: Iterable[PeriodicTask]) -> int | 
     period, each job of the busy period is examined: Lehoczky 1990, Tindell, Burns & Wellings 1994. This is the exact
     test of Davis, Zabos & Burns 2008. A task of the same priority may come before, so it counts as one that does.
     """
-    before = [each for each in others if each.priority >= task.priority]
-    taken = sum(each.cost_ns / each.period_ns for each in before)
+    before = [other for other in others if other.priority >= task.priority]
+    taken = sum(other.cost_ns / other.period_ns for other in before)
     if taken + task.cost_ns / task.period_ns > 1 + _ROUNDING:
         return None
     worst, busy_ns, job, steps = 0, 0, 1, 0
@@ -50,7 +50,7 @@ def response_bound(task: PeriodicTask, others: Iterable[PeriodicTask]) -> int | 
         own_ns = task.blocking_ns + job * task.cost_ns
         # At least as long as if the others took only their shares of it.
         busy_ns = max(busy_ns, own_ns, int(own_ns / (max(1 - taken, 0) + _ROUNDING)))
-        while (longer_ns := own_ns + sum(_interference_ns(each, busy_ns) for each in before)) > busy_ns:
+        while (longer_ns := own_ns + sum(_interference_ns(other, busy_ns) for other in before)) > busy_ns:
             busy_ns = longer_ns
             if (steps := steps + len(before)) > STEPS_MAX:
                 return None

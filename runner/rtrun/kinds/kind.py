@@ -85,17 +85,17 @@ class StreamKind:
 
     def is_named(self, name: str, parameters: Mapping[str, object]) -> bool:
         """Whether a deadline with this name is for a stream with these parameters."""
-        told = str(parameters.get(self.named_by))
-        return name == told or (bool(self.narrowed_by) and name == f"{told}/{parameters.get(self.narrowed_by)}")
+        own = str(parameters.get(self.named_by))
+        return name == own or (bool(self.narrowed_by) and name == f"{own}/{parameters.get(self.narrowed_by)}")
 
     def in_words(self, parameters: Mapping[str, object]) -> tuple[str, frozenset[str]]:
         """A stream in a few words, and the parameters that these words show, if the stream has them."""
         parts = [*self.words, f"{{{self.begins_with}}}", *(f"{{{key}}}" for key in self.hidden)]
         keys = frozenset(re.findall(r"{(\w+)}", " ".join(parts)))
-        told = {key: value for key, value in parameters.items() if key in keys and value is not None}
-        shown = {key: value for key, value in told.items() if key not in self.usual or value != self.usual[key]}
-        of = [each.format_map(shown) for each in self.words if set(re.findall(r"{(\w+)}", each)) <= shown.keys()]
-        return " ".join(filter(None, [str(told.get(self.begins_with) or self.word), *of])), keys
+        values = {key: value for key, value in parameters.items() if key in keys and value is not None}
+        shown = {key: value for key, value in values.items() if key not in self.usual or value != self.usual[key]}
+        rest = [part.format_map(shown) for part in self.words if set(re.findall(r"{(\w+)}", part)) <= shown.keys()]
+        return " ".join(filter(None, [str(values.get(self.begins_with) or self.word), *rest])), keys
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -25,16 +25,16 @@ JITTER: Of = "jitter"
 _OF_PERIODS: tuple[Measure, ...] = ("lateness", "response")
 
 
-def judged(measures: Sequence[Measure], of: Measure | None) -> Measure:
+def judged(measures: Sequence[Measure], measure: Measure | None) -> Measure:
     """Which of these a question is about: what it names, or the first one; a latency is the lateness of its subject.
 
     Raises UsageError if the named one is not measured.
     """
-    if of is None or of in measures:
-        return of or measures[0]
-    if of == LATENESS and "latency" in measures:
+    if measure is None or measure in measures:
+        return measure or measures[0]
+    if measure == LATENESS and "latency" in measures:
         return "latency"
-    raise UsageError(f"measures {' and '.join(measures)}, not {of}")
+    raise UsageError(f"measures {' and '.join(measures)}, not {measure}")
 
 
 def first_late_ns(deadline_ns: int) -> int:
@@ -52,11 +52,11 @@ def are_late(values_ns: "Int64s", deadline_ns: int, width_ns: "Int64s | int" = 1
     return values_ns >= first_late_ns(deadline_ns) - width_ns + 1
 
 
-def absent_in_words(number: int, of: Measure | None) -> str:
+def absent_in_words(number: int, measure: Measure | None) -> str:
     """How many have no value: "3 periods skipped"."""
-    return f"{counted(number, 'period')} skipped" if is_of_periods(of) else f"{grouped(number)} never came"
+    return f"{counted(number, 'period')} skipped" if is_of_periods(measure) else f"{grouped(number)} never came"
 
 
-def is_of_periods(of: Measure | None) -> bool:
+def is_of_periods(measure: Measure | None) -> bool:
     """Whether a missing value is a period that was skipped, rather than something that was lost."""
-    return of in _OF_PERIODS
+    return measure in _OF_PERIODS

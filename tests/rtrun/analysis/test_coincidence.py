@@ -15,11 +15,11 @@ def independent(random, n):
 def bursty(random, n):
     """Each depends on its own past, with events that last for several intervals."""
 
-    def one():
+    def series():
         level = np.convolve(random.random(n + 4) < 0.03, np.ones(5), mode="valid")[:n]
         return random.normal(size=n) + 4 * level
 
-    return np.array([one() for _ in range(QUANTITIES)]), one()
+    return np.array([series() for _ in range(QUANTITIES)]), series()
 
 
 def drifting(random, n):

@@ -67,8 +67,8 @@ def test_few_runs_may_differ_but_not_what_they_are_of(number: int) -> None:
     rng = np.random.default_rng(5)
     apart = compare(in_turn(boots(rng, number), 0), in_turn(boots(rng, number, 90_000), 1))
     assert apart.answer == ComparisonAnswer.RUNS_DIFFER
-    one = compare(boots(rng, number), boots(rng, number))
-    assert one.units == "blocks" and "runs alike" in one.assumes[0]
+    alike = compare(boots(rng, number), boots(rng, number))
+    assert alike.units == "blocks" and "runs alike" in alike.assumes[0]
 
 
 def test_sets_measured_one_after_the_other_are_never_different() -> None:
@@ -171,7 +171,7 @@ def test_what_a_layer_adds_is_found_through_a_steady_drift(order: str) -> None:
     mean, *others = attribute(runs["L"], runs["U"], late_above_ns=10**9).added
     assert mean.low <= 35_000 <= mean.high
     # Of 2000 values nobody knows the 9999th of 10 000.
-    assert [one.figure for one in (mean, *others)] == ["mean", "median", "p99", LATE]
+    assert [part.figure for part in (mean, *others)] == ["mean", "median", "p99", LATE]
     assert (others[2].added, others[2].low, others[2].high) == (0, 0, 0)
     assert f"{order.count('L')} and {order.count('U')} runs" in mean.method
     assert mean.high - mean.low < 8000  # the drift of tens of us is not in it
@@ -208,12 +208,12 @@ def test_measured_in_turn(a: str, b: str, answer: bool) -> None:
 def test_of_twelve_groups_without_a_difference_none_differs():
     """A twentieth of twelve is one in two: without the correction half of all such campaigns would see a difference."""
     rng = np.random.default_rng(10)
-    made = []
+    comparisons = []
     for _ in range(12):
         sets = [[], []]
         for number in range(10):
             values = (38_000 + rng.normal(0, 300) + 7_000 * rng.gamma(3, size=256)).astype(np.int64)
             sets[number % 2].append(replace(cut(values), start_time=f"2026-01-01T00:00:{number:02d}", boot=""))
-        made.append(compare(*sets, tests=12))
-    assert ComparisonAnswer.DIFFERENT in [one.answer for one in made]
-    assert ComparisonAnswer.DIFFERENT not in [one.answer for one in correct(made)]
+        comparisons.append(compare(*sets, tests=12))
+    assert ComparisonAnswer.DIFFERENT in [comparison.answer for comparison in comparisons]
+    assert ComparisonAnswer.DIFFERENT not in [comparison.answer for comparison in correct(comparisons)]

@@ -191,8 +191,8 @@ def test_a_value_that_equals_the_deadline_meets_it(value_ns: int, late: int) -> 
 def test_what_is_in_the_bin_of_the_deadline_is_late_and_said_to_be(value_ns: int, late: int, unclear: int) -> None:
     trials = count_misses_in_histogram(from_samples(np.array([value_ns, 50_000], dtype=np.int64)), 400_000)
     assert (trials.late, trials.unclear) == (late, unclear)
-    said = "1 values within a step of the clock, or a bin of a log, of the deadline are late"
-    assert (said in verdict(trials).assumes) is bool(unclear)
+    assumption = "1 values within a step of the clock, or a bin of a log, of the deadline are late"
+    assert (assumption in verdict(trials).assumes) is bool(unclear)
 
 
 @pytest.mark.parametrize(("step_ns", "late"), [(1, 0), (1000, 1), (30_518, 2)])
@@ -232,8 +232,8 @@ def test_windows_are_decided_by_an_order_statistic(tolerance, deadline_ns, step_
     absent = np.flatnonzero(values == 10**15)
     windows = count_misses(values, deadline_ns, tolerance=Tolerance(misses=misses, among=among))
     without = count_misses(values[values < 10**15], deadline_ns, absent, Tolerance(misses=misses, among=among))
-    for each in ("n", "late", "misses", "level", "high_at", "high_ns"):
-        assert np.array_equal(getattr(windows, each), getattr(expected, each)), each
+    for field in ("n", "late", "misses", "level", "high_at", "high_ns"):
+        assert np.array_equal(getattr(windows, field), getattr(expected, field)), field
     assert (without.n, without.late + without.absent) == (expected.n, expected.late)
     assert without.absent == np.count_nonzero(decides == 10**15)
 

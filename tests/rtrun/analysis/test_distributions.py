@@ -22,7 +22,7 @@ def spread(low, high, seed):
 
 def assert_alike(ours, scipys, *arguments, least=1e-200):
     expected = scipys(*arguments)
-    found = np.array([ours(*map(float, each)) for each in zip(*arguments, strict=True)])
+    found = np.array([ours(*map(float, values)) for values in zip(*arguments, strict=True)])
     kept = expected > least
     assert kept.sum() > N / 2
     assert found[kept] == pytest.approx(expected[kept], rel=CLOSE)
@@ -75,7 +75,7 @@ def test_normal_poisson_binomial_and_smirnov():
         expected = np.ceil(np.maximum(0, special.pdtrik(chance, means)))
         assert [distributions.poisson_quantile(chance, mean) for mean in means.tolist()] == expected.tolist()
     k, n = np.floor(spread(1, 100, 3)), np.floor(spread(101, 5000, 4))
-    found = [distributions.binomial_above(*each) for each in zip(k.tolist(), n.tolist(), (k / n).tolist(), strict=True)]
+    found = [distributions.binomial_above(*case) for case in zip(k.tolist(), n.tolist(), (k / n).tolist(), strict=True)]
     assert found == pytest.approx(stats.binom.sf(k, n, k / n), rel=CLOSE)
     n = np.floor(spread(1, 1000, 5))
     farthest = spread(0.001, 1, 6)
@@ -84,10 +84,10 @@ def test_normal_poisson_binomial_and_smirnov():
         assert distributions.smirnov_above(distance, int(count)) == pytest.approx(expected, rel=1e-10, abs=1e-200)
 
 
-@pytest.mark.parametrize("of", ["beta_below", "beta_above", "gamma_above", "student_below", "chi_squared_above"])
-def test_no_number_stays_none(of):
-    arguments = (3.0, 4.0) if of.startswith("beta") else (3.0,)
-    assert math.isnan(getattr(distributions, of)(math.nan, *arguments))
+@pytest.mark.parametrize("function", ["beta_below", "beta_above", "gamma_above", "student_below", "chi_squared_above"])
+def test_no_number_stays_none(function):
+    arguments = (3.0, 4.0) if function.startswith("beta") else (3.0,)
+    assert math.isnan(getattr(distributions, function)(math.nan, *arguments))
 
 
 def test_where_scipy_has_fewer_digits():

@@ -18,9 +18,9 @@ MS = 1e6
 
 
 def values(n: int, *misses: int) -> np.ndarray:
-    made = 50_000 + np.arange(n) * 7919 % 1000
-    made[list(misses)] = 500_000
-    return made
+    values_ns = 50_000 + np.arange(n) * 7919 % 1000
+    values_ns[list(misses)] = 500_000
+    return values_ns
 
 
 def run(n: int, *misses: int, period_ns: float | None = MS, **where: str) -> Trials:
@@ -65,11 +65,11 @@ def test_a_bound_needs_no_length_of_episodes():
 
 
 def test_subscribers_of_one_message_have_the_same_episodes():
-    one = verdict(run(100_000, 30_000))
+    single = verdict(run(100_000, 30_000))
     five = verdict(*[run(100_000, 30_000, run="r")] * 5, period_ns=MS / 5, side_by_side=5.0)
-    assert one.episodes is not None and five.episodes is not None
-    assert five.episodes.per_hour_at_most == pytest.approx(one.episodes.per_hour_at_most, rel=1e-3)
-    assert five.bursts == one.bursts and five.longest_burst == pytest.approx(one.longest_burst, rel=1e-2)
+    assert single.episodes is not None and five.episodes is not None
+    assert five.episodes.per_hour_at_most == pytest.approx(single.episodes.per_hour_at_most, rel=1e-3)
+    assert five.bursts == single.bursts and five.longest_burst == pytest.approx(single.longest_burst, rel=1e-2)
     alone, together = (verdict(*[run(n, run="r")] * 5, period_ns=MS / 5, side_by_side=5.0) for n in (4000, 40_000))
     assert alone.further is not None and alone.further + 20_000 == pytest.approx(5 * 36_888, abs=5)
     assert dict(together.further_for_bursts)[20] + 200_000 == pytest.approx(5 * 20 * 3688.8, rel=1e-3)
@@ -155,9 +155,9 @@ def test_many_misses_that_chance_lets_lie_near_are_no_burst():
 
 @pytest.mark.parametrize("tolerance", ["0 in a row", "2 in a row", "9 in a row", "10 in a row", "3 of 100", "4 of 6"])
 def test_a_stall_makes_as_many_windows_as_the_default_covers(tolerance):
-    of = read_tolerance(tolerance)
-    trials = count_misses(values(5000, *range(2000, 2010)), DEADLINE, tolerance=of, period_ns=MS)
-    question = Question(deadline_ns=DEADLINE, probability=0.5, tolerance=of)
-    none = count_misses(values(5000), DEADLINE, tolerance=of, period_ns=MS)
+    tolerated = read_tolerance(tolerance)
+    trials = count_misses(values(5000, *range(2000, 2010)), DEADLINE, tolerance=tolerated, period_ns=MS)
+    question = Question(deadline_ns=DEADLINE, probability=0.5, tolerance=tolerated)
+    none = count_misses(values(5000), DEADLINE, tolerance=tolerated, period_ns=MS)
     judged = judge(Account([replace(none, boot="b")], period_ns=MS), question)
     assert judged.bursts.length == max(1, trials.late)

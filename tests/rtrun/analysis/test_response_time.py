@@ -16,8 +16,8 @@ def tasks(*rows):
     ]
 
 
-def bounds(of):
-    return [response_bound(task, [other for other in of if other is not task]) for task in of]
+def bounds(task_set):
+    return [response_bound(task, [other for other in task_set if other is not task]) for task in task_set]
 
 
 # Burns & Wellings, Real-Time Systems and Programming Languages: 3, 6 and 20.
@@ -32,9 +32,9 @@ def test_worked_examples_of_the_literature():
     # Lehoczky, Sha & Ding 1989, schedulable with 95 % of the CPU: the third one ends at 300 of 350.
     assert bounds(tasks((100, 40), (150, 40), (350, 100))) == [40, 80, 300]
     # With jitter and blocking, by hand: w = 2 + 5 + ceil((w + 4) / 10) 3 = 13, and 1 of jitter of its own.
-    of = PeriodicTask(name="a", period_ns=50, cost_ns=5, priority=1, jitter_ns=1, blocking_ns=2)
+    task = PeriodicTask(name="a", period_ns=50, cost_ns=5, priority=1, jitter_ns=1, blocking_ns=2)
     other = PeriodicTask(name="b", period_ns=10, cost_ns=3, priority=2, jitter_ns=4)
-    assert response_bound(of, [other]) == 14
+    assert response_bound(task, [other]) == 14
 
 
 def test_no_bound_where_all_of_the_cpu_is_asked_for_and_more():
@@ -53,10 +53,10 @@ def test_little_time_that_is_left_is_no_reason_to_look_for_ever(left):
     assert bound is None if left < 10**-6 else 10**9 < bound < 10**10
 
 
-def simulated(of, offsets, until, costs=lambda _task, cost: cost):
+def simulated(task_set, offsets, until, costs=lambda _task, cost: cost):
     """The longest response of each task by name: a CPU that runs the job of the highest priority, the oldest first."""
-    releases = sorted((at, task.name) for task in of for at in range(offsets[task.name], until, task.period_ns))
-    by_name = {task.name: task for task in of}
+    releases = sorted((at, task.name) for task in task_set for at in range(offsets[task.name], until, task.period_ns))
+    by_name = {task.name: task for task in task_set}
     ready, longest, now = [], dict.fromkeys(by_name, 0), 0
     while releases or ready:
         if not ready:
@@ -78,25 +78,25 @@ def some_tasks(draw, priorities):
     """Random tasks that ask for less than all of the CPU."""
     while True:
         periods = [draw.choice([5, 6, 8, 10, 12, 15, 20, 30, 50]) for _ in range(draw.randint(1, 5))]
-        made = [
+        task_set = [
             PeriodicTask(name=str(number), period_ns=period, cost_ns=draw.randint(1, period),
                          priority=priorities(draw, number))
             for number, period in enumerate(periods)
         ]  # fmt: skip
-        if sum(task.cost_ns / task.period_ns for task in made) <= 1:
-            return made
+        if sum(task.cost_ns / task.period_ns for task in task_set) <= 1:
+            return task_set
 
 
 def test_the_bound_is_met_exactly_where_all_are_released_at_once_and_never_exceeded():
     draw, longer = random.Random(1), 0
     for _ in range(300):
-        of = some_tasks(draw, lambda _draw, number: number)
-        bound = dict(zip([task.name for task in of], bounds(of), strict=True))
+        task_set = some_tasks(draw, lambda _draw, number: number)
+        bound = dict(zip([task.name for task in task_set], bounds(task_set), strict=True))
         # All periods divide 600.
-        assert simulated(of, dict.fromkeys(bound, 0), 1200) == bound
-        longer += any(bound[task.name] > task.period_ns for task in of)
-        offsets = {task.name: draw.randrange(task.period_ns) for task in of}
-        measured = simulated(of, offsets, 1200, lambda _name, cost: draw.randint(1, cost))
+        assert simulated(task_set, dict.fromkeys(bound, 0), 1200) == bound
+        longer += any(bound[task.name] > task.period_ns for task in task_set)
+        offsets = {task.name: draw.randrange(task.period_ns) for task in task_set}
+        measured = simulated(task_set, offsets, 1200, lambda _name, cost: draw.randint(1, cost))
         assert all(measured[name] <= bound[name] for name in bound)
     assert longer > 10, "sets in which a response is longer than its period are among them"
 
@@ -104,10 +104,10 @@ def test_the_bound_is_met_exactly_where_all_are_released_at_once_and_never_excee
 def test_the_bound_covers_tasks_of_one_priority_served_in_the_order_of_their_release():
     draw, met = random.Random(2), 0
     for _ in range(300):
-        of = some_tasks(draw, lambda draw, _number: draw.randint(1, 2))
-        bound = dict(zip([task.name for task in of], bounds(of), strict=True))
-        offsets = {task.name: draw.randrange(task.period_ns) for task in of}
-        measured = simulated(of, offsets, 1200)
+        task_set = some_tasks(draw, lambda draw, _number: draw.randint(1, 2))
+        bound = dict(zip([task.name for task in task_set], bounds(task_set), strict=True))
+        offsets = {task.name: draw.randrange(task.period_ns) for task in task_set}
+        measured = simulated(task_set, offsets, 1200)
         assert all(measured[name] <= bound[name] for name in bound)
         met += measured == bound
     assert met > 10, "it is no further away than needed"

@@ -68,8 +68,8 @@ def test_a_climb_far_below_the_deadline_takes_no_answer_away() -> None:
 
 def test_a_leak_within_each_run_proves_nothing() -> None:
     rng = np.random.default_rng(1)
-    for boots, each in ((1, 30), (6, 5)):
-        runs = [run_of(around(rng, np.linspace(100, 380, 2000), 2000), k, k % boots) for k in range(boots * each)]
+    for boots, per_boot in ((1, 30), (6, 5)):
+        runs = [run_of(around(rng, np.linspace(100, 380, 2000), 2000), k, k % boots) for k in range(boots * per_boot)]
         verdict = answer(runs)
         assert verdict.answer is Answer.NEEDS_MORE
         assert verdict.change is not None and "pieces of each run, cut into 64" in verdict.change.text
@@ -104,8 +104,8 @@ def test_bursts_of_a_boot_are_no_boot_that_is_too_bad() -> None:
     for _ in range(5):
         values = [np.where(rng.random(20_000) < 0.0102, 500_000, 100_000) for _ in range(4)]
         runs = [
-            replace(count_misses(each, DEADLINE, tolerance=tolerance), run=str(k), boot=str(k), start_time=str(k))
-            for k, each in enumerate(values)
+            replace(count_misses(values_ns, DEADLINE, tolerance=tolerance), run=str(k), boot=str(k), start_time=str(k))
+            for k, values_ns in enumerate(values)
         ]
         change = judge(Account(runs), question).change
         assert change is None or "on its own" not in change.text
@@ -122,7 +122,7 @@ def test_a_system_that_got_better_is_not_refuted_by_what_it_was() -> None:
 
     def boots(rates: list[float]) -> list[Trials]:
         values = [np.where(rng.random(5000) < rate, 500, 100) * 1000 for rate in rates]
-        return [run_of(each, k, k) for k, each in enumerate(values)]
+        return [run_of(values_ns, k, k) for k, values_ns in enumerate(values)]
 
     better = answer(boots([0.01] * 6 + [0.0] * 6))
     assert better.answer is Answer.NEEDS_MORE and better.change is not None

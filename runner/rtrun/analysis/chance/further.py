@@ -89,8 +89,8 @@ def plan_groups(
     question: Question, periods_ns: Mapping[str, float | None], *, rate: float = 0.0
 ) -> tuple[bool, dict[str, int]] | None:
     """`plan_measurements` for several groups, by name; None where no number decides one of them."""
-    planned = {name: plan_measurements(question, rate=rate, period_ns=each) for name, each in periods_ns.items()}
-    decided = {name: each for name, each in planned.items() if each is not None}
+    planned = {name: plan_measurements(question, rate=rate, period_ns=period) for name, period in periods_ns.items()}
+    decided = {name: plan for name, plan in planned.items() if plan is not None}
     if len(decided) < len(planned):
         return None
     return all(is_proven for is_proven, _ in decided.values()), {name: total for name, (_, total) in decided.items()}

@@ -17,7 +17,7 @@ def rank_correlation(first: ArrayLike, second: ArrayLike) -> tuple[float, float]
 
     Both are NaN for fewer than 3 values, and where all of one series are equal.
     """
-    a, b = (each - each.mean() for each in (ranks(first), ranks(second)))
+    a, b = (ranked - ranked.mean() for ranked in (ranks(first), ranks(second)))
     scale = float(np.sqrt((a @ a) * (b @ b)))
     if scale == 0 or a.size < 3:
         return float("nan"), float("nan")

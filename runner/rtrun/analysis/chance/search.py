@@ -17,9 +17,9 @@ def lowest_point(
     It ends when all corners of the simplex are within ten tolerances of the best, and their costs within one.
     """
 
-    def moved(corner: Sequence[float], factor: float, of: Sequence[float]) -> _Corner:
-        """The point on the line through both corners, `factor` times as far from `corner` as `of` is."""
-        place = [at + factor * (value - at) for at, value in zip(corner, of, strict=True)]
+    def moved(corner: Sequence[float], factor: float, other: Sequence[float]) -> _Corner:
+        """The corner that lies `factor` times as far from `corner` as `other` does, on the same line."""
+        place = [at + factor * (value - at) for at, value in zip(corner, other, strict=True)]
         return cost(place), place
 
     begins = ([value + step * (k == index) for k, value in enumerate(begin)] for index in range(len(begin)))

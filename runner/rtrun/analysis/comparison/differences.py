@@ -222,15 +222,15 @@ def _no_difference(shifts: Sequence[Shift]) -> ComparisonAnswer:
 def correct(comparisons: Sequence[Comparison]) -> list[Comparison]:
     """Comparisons of the same confidence taken together (Holm 1979): the chance that any of them shows a difference
     where there is none is at most 1 - confidence."""
-    decided = [one for one in comparisons if one.answer is not ComparisonAnswer.UNDECIDED]
-    rejected = iter(holm([one.p_value for one in decided], 1 - decided[0].confidence) if decided else [])
+    decided = [comparison for comparison in comparisons if comparison.answer is not ComparisonAnswer.UNDECIDED]
+    rejected = iter(holm([comparison.p_value for comparison in decided], 1 - decided[0].confidence) if decided else [])
     return [
-        one
-        if one.answer is ComparisonAnswer.UNDECIDED
+        comparison
+        if comparison.answer is ComparisonAnswer.UNDECIDED
         or next(rejected)
-        or one.answer not in (ComparisonAnswer.DIFFERENT, ComparisonAnswer.RUNS_DIFFER)
-        else replace(one, answer=_no_difference(one.shifts))
-        for one in comparisons
+        or comparison.answer not in (ComparisonAnswer.DIFFERENT, ComparisonAnswer.RUNS_DIFFER)
+        else replace(comparison, answer=_no_difference(comparison.shifts))
+        for comparison in comparisons
     ]
 
 

@@ -105,17 +105,17 @@ def shift_without_drift(values: tuple[Floats, Floats], times_s: tuple[Floats, Fl
     sums of squares of time.
     """
     from_mean_s = [times - times.mean() for times in times_s]
-    squares = [float(each @ each) for each in from_mean_s]
+    squares = [float(times @ times) for times in from_mean_s]
     # Runs that all began at the same time have not drifted.
     whole = sum(squares) or 1.0
-    slope = sum(float(each @ own) for each, own in zip(from_mean_s, values, strict=True)) / whole
+    slope = sum(float(times @ own) for times, own in zip(from_mean_s, values, strict=True)) / whole
     between = float(times_s[1].mean() - times_s[0].mean())
     shift = float(values[1].mean() - values[0].mean()) - slope * between
     parts, degrees = [], []
-    for sign, own, each, square in zip((-1, 1), values, from_mean_s, squares, strict=True):
-        rest = own - own.mean() - slope * each
+    for sign, own, times, square in zip((-1, 1), values, from_mean_s, squares, strict=True):
+        rest = own - own.mean() - slope * times
         free = own.size - 1 - square / whole
-        weights = sign / own.size - between / whole * each
+        weights = sign / own.size - between / whole * times
         parts.append(float(rest @ rest) / free * float(weights @ weights))
         degrees.append(free)
     error = math.sqrt(sum(parts))

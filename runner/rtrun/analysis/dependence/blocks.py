@@ -116,16 +116,16 @@ def add_outputs(outputs: Sequence[Blocks]) -> Blocks:
     """Add outputs that measured the same moments (the subscribers of one run), block by block."""
     if len(outputs) == 1:
         return outputs[0]
-    width = max(one.bin_ns for one in outputs)
-    columns = np.unique(np.concatenate([one.values_ns for one in outputs]) // width * width)
-    rows = min(len(one.sums_ns) for one in outputs)
+    width = max(output.bin_ns for output in outputs)
+    columns = np.unique(np.concatenate([output.values_ns for output in outputs]) // width * width)
+    rows = min(len(output.sums_ns) for output in outputs)
     counts = np.zeros((rows, columns.size), np.int64)
     sums = np.zeros(rows)
-    for one in outputs:
-        at = np.searchsorted(columns, one.values_ns // width * width)
+    for output in outputs:
+        at = np.searchsorted(columns, output.values_ns // width * width)
         # An output that lost messages may have fewer blocks; the surplus blocks of the others are added to their last
         # one.
-        np.add.at(counts.T, at, np.add.reduceat(one.counts, np.arange(rows), axis=0).T)
-        sums += np.add.reduceat(one.sums_ns, np.arange(rows))
-    ordered = all(one.ordered for one in outputs)
+        np.add.at(counts.T, at, np.add.reduceat(output.counts, np.arange(rows), axis=0).T)
+        sums += np.add.reduceat(output.sums_ns, np.arange(rows))
+    ordered = all(output.ordered for output in outputs)
     return Blocks(values_ns=columns, counts=counts, sums_ns=sums, bin_ns=width, ordered=ordered)

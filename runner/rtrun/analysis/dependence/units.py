@@ -42,7 +42,7 @@ def count_alike(runs: Sequence[Trials]) -> list[CountedRun]:
         lengths = [n for n, _ in sums(counted, keys).values() if n]
         most = median_low(lengths) if lengths else 0.0
         of_key = {key: min(1.0, most / n) if n else 1.0 for key, (n, _) in sums(counted, keys).items()}
-        counted = [one.cut(of_key[key]) for one, key in zip(counted, keys, strict=True)]
+        counted = [run.cut(of_key[key]) for run, key in zip(counted, keys, strict=True)]
     return counted
 
 
@@ -59,7 +59,7 @@ def shorter(runs: Sequence[Trials], keys: Sequence[str]) -> int:
 def sums(counted: Sequence[CountedRun], keys: Sequence[str]) -> dict[str, Cluster]:
     """Loops and misses of the runs of each key."""
     found: dict[str, Cluster] = {}
-    for one, key in zip(counted, keys, strict=True):
+    for run, key in zip(counted, keys, strict=True):
         n, misses = found.get(key, (0.0, 0.0))
-        found[key] = (n + one.n, misses + one.misses)
+        found[key] = (n + run.n, misses + run.misses)
     return found

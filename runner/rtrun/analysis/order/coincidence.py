@@ -64,7 +64,7 @@ def find_coincidences(quantities: Floats, highest: Floats) -> tuple[Coincidence,
                     p_value=p_value,
                 )
             )
-    return tuple(sorted(found, key=lambda one: (-statistics[one.row, 0], one.row)))
+    return tuple(sorted(found, key=lambda coincidence: (-statistics[coincidence.row, 0], coincidence.row)))
 
 
 def _scores(values: Floats) -> Floats:

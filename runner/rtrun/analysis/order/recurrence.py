@@ -73,15 +73,15 @@ def find_recurrence(places: Int64s, *, begin: int, end: int, values: int, search
     counts = list(counts_tried(values))
     found = [_find(np.sort(places[:count]) - begin, end - begin, loop) for count in counts]
     # Chances that are too small for a float are 0. Among these, the period with events in more of its cycles wins.
-    best = min((one for one in found if one), key=lambda one: (one.p_value, -one.covered / one.cycles), default=None)
+    best = min(filter(None, found), key=lambda result: (result.p_value, -result.covered / result.cycles), default=None)
     if best is None:
         return None
     p_value = min(1.0, best.p_value * len(counts) * searches)
     if p_value > ALPHA:
         return None
     # The count with the best chance may be lower than the number of cycles. The count that covers most of them is kept.
-    alike = (one for one in found if one and abs(one.period - best.period) < min(_NEAR) * best.period)
-    return replace(max(alike, key=lambda one: (one.covered / one.cycles, -one.late)), p_value=p_value)
+    alike = (result for result in found if result and abs(result.period - best.period) < min(_NEAR) * best.period)
+    return replace(max(alike, key=lambda result: (result.covered / result.cycles, -result.late)), p_value=p_value)
 
 
 def _find(late: Int64s, length: int, loop: int) -> Recurrence | None:
@@ -170,7 +170,7 @@ def _refine(events: Int64s, frequency: float, length: int) -> float:
     """The frequency of the highest power near one of the transform's."""
     for width in (1 / (_PADDED * length), 0.1 / (_PADDED * length)):
         near: NDArray[np.float64] = np.linspace(frequency - width, frequency + width, 21)
-        frequency = float(max(near, key=lambda one: _power(events, one)))
+        frequency = float(max(near, key=lambda candidate: _power(events, candidate)))
     return frequency
 
 

@@ -239,14 +239,14 @@ def _chances(runs: Sequence[Sequence[Head]], blocks: Floats, worst: Floats, alik
     for pattern in range(1, _PATTERNS + 1):
         begins = np.array([np.mean([head.leading[:, :lengths] >= pattern for head in run], axis=0) for run in runs])
         seen = np.floor(begins.sum(axis=0) + 1e-9)
-        of = tells.sum(axis=0)
+        telling = tells.sum(axis=0)
         steps = np.maximum(blocks[..., None] - np.arange(pattern), 1).prod(axis=-1)
         chance = np.where(tells, (worst if pattern == 1 else 1) / steps, 0)
-        mean_chance = chance.sum(axis=0) / np.maximum(of, 1)
+        mean_chance = chance.sum(axis=0) / np.maximum(telling, 1)
         for kind, length in np.argwhere((seen > 0) & ~(alike & (pattern > 1))).tolist():
             count, p = int(seen[kind, length]), float(mean_chance[kind, length])
-            if count > of[kind, length] * p + 1 or of[kind, length] == 1:
-                chances[kind, length, pattern - 1] = binomial_above(count - 1, int(of[kind, length]), p)
+            if count > telling[kind, length] * p + 1 or telling[kind, length] == 1:
+                chances[kind, length, pattern - 1] = binomial_above(count - 1, int(telling[kind, length]), p)
     return chances
 
 

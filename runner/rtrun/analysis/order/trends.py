@@ -58,8 +58,8 @@ class Climb:
 def runs_of(trials: Sequence[Trials]) -> list[Unit]:
     """The runs of trials in their order, each with its outputs."""
     runs: dict[str, list[Trials]] = {}
-    for index, one in enumerate(trials):
-        runs.setdefault(one.run or str(index), []).append(one)
+    for index, output in enumerate(trials):
+        runs.setdefault(output.run or str(index), []).append(output)
     return [*runs.values()]
 
 
@@ -80,10 +80,10 @@ def changes_between(strata: Sequence[Sequence[Unit]], name: str, *, of_heights: 
 
 
 def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Change]:
-    """Yield the signs that runs, laid over one another, are worse at their ends than before, as with a leak."""
-    runs = [run for run in runs if all(one.n >= PIECES for one in run)]
-    of_misses = [sum(_in_pieces(one.missed_at, one.n) for one in run) for run in runs]
-    of_high = [sum(_in_pieces(one.high_at, one.n) for one in run) for run in runs] if of_heights else []
+    """Yield the signs that runs, laid over one another, are worse at the end than before, as a leak makes them."""
+    runs = [run for run in runs if all(output.n >= PIECES for output in run)]
+    of_misses = [sum(_in_pieces(output.missed_at, output.n) for output in run) for run in runs]
+    of_high = [sum(_in_pieces(output.high_at, output.n) for output in run) for run in runs] if of_heights else []
     for counts, events, significant, is_of_heights in (
         (of_misses, "misses come more often", SIGNIFICANT_OF_MISSES, False),
         (of_high, "high values come more often", SIGNIFICANT, True),
@@ -100,11 +100,11 @@ def _in_pieces(places: Int64s, loops: int) -> Int64s:
 
 
 def _loops(unit: Unit) -> int:
-    return sum(one.n for one in unit)
+    return sum(output.n for output in unit)
 
 
 def _misses(unit: Unit) -> int:
-    return sum(one.late + one.absent for one in unit)
+    return sum(output.late + output.absent for output in unit)
 
 
 def _miss_rates(units: Sequence[Unit]) -> Floats:
@@ -128,7 +128,7 @@ def _level_ns(unit: Unit, share: float) -> int | None:
     """The height that this share of a unit's values reaches; None if these are too few, or not all of them were
     kept."""
     number = round(share * _loops(unit))
-    known = [one.high_ns for one in unit if one.high_ns.size]
+    known = [output.high_ns for output in unit if output.high_ns.size]
     if number < _LEAST_EXCEEDED or len(known) < len(unit):
         return None
     highest = np.concatenate(known)
@@ -169,7 +169,7 @@ def _smallest_ns(strata: Sequence[Floats]) -> float | None:
 def _reached_after(strata: Sequence[Sequence[Unit]], deadline_ns: int) -> float | None:
     """After how many more units the highest values reach the deadline, where they climb beyond chance."""
     highest = [
-        np.array([max((one.worst_ns or 0 for one in unit), default=0) for unit in units], np.float64)
+        np.array([max((output.worst_ns or 0 for output in unit), default=0) for unit in units], np.float64)
         for units in strata
     ]
     order, slope = find_order(highest, by_height=False), _slope(highest)

@@ -52,7 +52,7 @@ def find_order(strata: Sequence[Floats], *, by_height: bool) -> Order | None:
     numbers = _numbers(min(values.size for values in strata))
     scores = [_scores(values, by_height) for values in strata]
     weights = [_weights(values.size, numbers) for values in strata]
-    observed = np.ravel(sum(each @ weight for each, weight in zip(scores, weights, strict=True)))
+    observed = np.ravel(sum(score @ weight for score, weight in zip(scores, weights, strict=True)))
     scale = sum(values.size - 1 for values in strata) ** 0.5
     best = int(observed.argmax())
     higher = _PERMUTATIONS
@@ -85,7 +85,7 @@ def find_common_order(runs: Floats) -> Order | None:
     if observed[best] > _LEAST * np.sqrt(shifted.var(axis=0).sum(axis=0)[best]):
         rng = np.random.default_rng(SEED)
         drawn = rng.integers(0, m, (_PERMUTATIONS, r))
-        highest = np.array([shifted[each, np.arange(r)].sum(axis=0).max() for each in drawn])
+        highest = np.array([shifted[shifts, np.arange(r)].sum(axis=0).max() for shifts in drawn])
         higher = int(np.count_nonzero(highest >= observed[best] - 1e-9))
     return _sign(best, numbers, (1 + higher) / (1 + _PERMUTATIONS))
 
@@ -128,7 +128,7 @@ def _weights(m: int, numbers: Sequence[int]) -> Floats:
 def _highest(scores: Sequence[Floats], weights: Sequence[Floats], rng: np.random.Generator) -> Floats:
     """The strongest sign of each of some random orders."""
     sums: Floats | float = 0.0
-    for each, weight in zip(scores, weights, strict=True):
-        orders = rng.permuted(np.tile(np.arange(each.shape[1]), (_AT_A_TIME, 1)), axis=1)
-        sums = sums + each[:, orders] @ weight
+    for score, weight in zip(scores, weights, strict=True):
+        orders = rng.permuted(np.tile(np.arange(score.shape[1]), (_AT_A_TIME, 1)), axis=1)
+        sums = sums + score[:, orders] @ weight
     return np.asarray(np.max(sums, axis=(0, 2)))

@@ -81,7 +81,7 @@ def peaks_over_threshold(runs: Sequence[Tail], probability: float, confidence: f
     checks = _checks(all_peaks[0], n, quantum_ns)
     if failed := next((check for check in checks if not check.passed), None):
         return refused(f"{failed.name}: {failed.seen}", checks, all_peaks[0])
-    fits = [_fit(one, quantum_ns) for one in all_peaks if probability * n < one.values_ns.size <= _MOST_PEAKS]
+    fits = [_fit(peaks, quantum_ns) for peaks in all_peaks if probability * n < peaks.values_ns.size <= _MOST_PEAKS]
     if not fits:
         return refused("the probability asked for lies within the data: the percentiles answer it")
 

@@ -98,10 +98,10 @@ def disagreement(bounds: Sequence[Bound]) -> str | None:
 
     The exponential tail is left out: for a lighter tail it lies above the two others, as it should.
     """
-    made = [(one.low_ns, one.high_ns) for one in bounds if one.method in ("GPD", "GEV")]
-    if len(made) < 2:
+    intervals = [(bound.low_ns, bound.high_ns) for bound in bounds if bound.method in ("GPD", "GEV")]
+    if len(intervals) < 2:
         return None
-    (low, high), (other_low, other_high) = made
+    (low, high), (other_low, other_high) = intervals
     if low is None or high is None or other_low is None or other_high is None:
         return None
     if high < other_low or other_high < low:
