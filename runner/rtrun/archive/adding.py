@@ -133,7 +133,7 @@ def _add_run(
         for series in read_series(folder, record):
             if series.header.main and series.header.incomplete:
                 notes.append(f"{record.run}: {series.header.output} is incomplete: {series.header.incomplete}")
-            elif series.header.of is not None and not series.header.incomplete:
+            elif series.header.measure is not None and not series.header.incomplete:
                 judged.append(series)
     states = None
     try:

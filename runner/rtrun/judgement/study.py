@@ -350,7 +350,7 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
     return Group(
         suite=first.suite,
         series=first.series,
-        of=first.of,
+        of=first.measure,
         target=first.target,
         parameters=telling_parameters(first.parameters),
         question=asked,
@@ -399,7 +399,7 @@ def _account(alike: Sequence[JudgedDigest], basis: _Basis, startup: StartUp | No
 
 def _verdict(account: Account, first: Header, question: Question) -> Verdict:
     tolerance = question.tolerance if first.main else NONE_TOLERATED
-    return judge(account, replace(question, of=first.of, tolerance=tolerance))
+    return judge(account, replace(question, of=first.measure, tolerance=tolerance))
 
 
 def _bounds(alike: Sequence[JudgedDigest], question: Question) -> tuple[tuple[Bound, ...], str | None]:

@@ -35,12 +35,12 @@ def collected(folder: Path | None, pieces: Iterable[tuple[Int64s, ...]], count: 
 
     Raises NoRoom where the disk is full.
     """
-    made = [_ColumnFile(folder) for _ in range(count)]
+    files = [_ColumnFile(folder) for _ in range(count)]
     with kept_in(folder):
         for piece in pieces:
-            for column, values in zip(made, piece, strict=True):
+            for column, values in zip(files, piece, strict=True):
                 column.add(values)
-        return tuple(column.values() for column in made)
+        return tuple(column.values() for column in files)
 
 
 class _ColumnFile:

@@ -55,7 +55,7 @@ def remarks_of(folders: Iterable[Path]) -> tuple[str, ...]:
 
     Raises UsageError for a damaged file.
     """
-    graphs = {each.name: read_json(each / GRAPH, Graph) for each in folders if (each / GRAPH).is_file()}
+    graphs = {folder.name: read_json(folder / GRAPH, Graph) for folder in folders if (folder / GRAPH).is_file()}
     remarks: dict[str, tuple[str, list[str]]] = {}
     for name, graph in graphs.items():
         for text in graph.remarks:
@@ -178,16 +178,16 @@ def _write_traces(folder: Path, output: str, stream: ObservedOutput) -> list[str
     """Write a file per trace and return the name for each value; values that share a trace share the file."""
     written: dict[StoredText, str] = {}
     names = []
-    for one in stream.traced:
-        name = f"{output}-trace-{one.index}.txt"
-        seconds, rest_ns = divmod(one.at_ns, 1_000_000_000)
+    for value in stream.traced:
+        name = f"{output}-trace-{value.index}.txt"
+        seconds, rest_ns = divmod(value.at_ns, 1_000_000_000)
         head = (
-            f"# {stream.suite}: {one.value_ns} ns at index {one.index} above {one.limit_ns} ns, "
-            f"at {seconds}.{rest_ns // 1000:06} s of {CLOCK}{'' if one.tid is None else f' by thread {one.tid}'}\n"
+            f"# {stream.suite}: {value.value_ns} ns at index {value.index} above {value.limit_ns} ns, "
+            f"at {seconds}.{rest_ns // 1000:06} s of {CLOCK}{'' if value.tid is None else f' by thread {value.tid}'}\n"
         ).encode()
-        shared = written.setdefault(one.text, name)
+        shared = written.setdefault(value.text, name)
         with (folder / name).open("wb") as file:
             file.write(head)
-            file.writelines(one.text.pieces() if shared == name else [f"# in {shared}\n".encode()])
+            file.writelines(value.text.pieces() if shared == name else [f"# in {shared}\n".encode()])
         names.append(name)
     return names

@@ -58,15 +58,15 @@ def read_run(folder: Path) -> ClosedRun:
     return ClosedRun(folder=folder, record=record, results=results_of(read_series(folder, record)) if of_use else ())
 
 
-def read_series(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Series]:
+def read_series(folder: Path, record: RunRecord, measure: Measure | None = None) -> Iterator[Series]:
     """Yield every series of every output of a run; the files must be those that the record was closed with.
 
-    An output is read from its samples. If it has none (the programs of 2014 write none), it is read from its logs. `of`
-    is the measure that the question names. Raises UsageError when a file is missing, altered or malformed, or has no
-    such series.
+    An output is read from its samples. If it has none (the programs of 2014 write none), it is read from its logs.
+    `measure` is the one that the question names. Raises UsageError when a file is missing, altered or malformed, or has
+    no such series.
     """
     for output in dict.fromkeys(record.outputs):
-        for series in _series_of_output(folder, record, output, of):
+        for series in _series_of_output(folder, record, output, measure):
             if series.header.suite != record.suite and f"{output}{ENDING}" not in record.files:
                 raise UsageError(f"{folder / output}: of {series.header.suite}, but {FILE} says {record.suite}")
             yield replace(
@@ -84,27 +84,27 @@ def read_series(folder: Path, record: RunRecord, of: Measure | None = None) -> I
             )
 
 
-def _series_of_output(folder: Path, record: RunRecord, output: str, of: Measure | None) -> Iterator[Series]:
+def _series_of_output(folder: Path, record: RunRecord, output: str, measure: Measure | None) -> Iterator[Series]:
     if f"{output}{ENDING}" in record.files:
         check_file(folder, record, output + ENDING)
-        yield series_of_histogram(read_histogram(folder / f"{output}{ENDING}"), of)
+        yield series_of_histogram(read_histogram(folder / f"{output}{ENDING}"), measure)
     elif f"{output}{samples_file.ENDING}" in record.files:
         for ending in (samples_file.ROWS_ENDING, samples_file.ENDING):
             check_file(folder, record, output + ending)
         yield series_of_imported_samples(
-            samples_file.read_imported_samples(folder / f"{output}{samples_file.ENDING}"), of
+            samples_file.read_imported_samples(folder / f"{output}{samples_file.ENDING}"), measure
         )
     elif f"{output}.npy" in record.files:
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)
-        yield from series_of_samples(read_samples(folder / f"{output}.npy"), of)
+        yield from series_of_samples(read_samples(folder / f"{output}.npy"), measure)
     else:
         logs = [name for name in log_names(record.suite, output) if name in record.files]
         if not logs:
             raise UsageError(f"{folder / FILE}: neither samples nor log of the output {output!r} among its files")
         for name in logs:
             check_file(folder, record, name)
-            yield series_of_log(read_log(folder / name), of)
+            yield series_of_log(read_log(folder / name), measure)
 
 
 def target_of(record: RunRecord) -> str:
@@ -194,7 +194,7 @@ def find_copies(records: Mapping[Path, RunRecord]) -> dict[Path, str]:
     copies: dict[Path, str] = {}
     for (what, _), folders in holders.items():
         for folder in folders if len(folders) > 1 else []:
-            other = next(each for each in folders if each != folder)
+            other = next(other for other in folders if other != folder)
             alike = "are of the same attempt" if what == "attempt" else "hold the same samples"
             copies.setdefault(
                 folder, f"{folder.name}: a copy? it and {other.name} {alike}, and neither counts: remove the copy"

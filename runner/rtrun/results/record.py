@@ -252,7 +252,7 @@ class RunRecord(Config):
     @property
     def rates(self) -> dict[str, Rate]:
         """The rates of its programs that were asked for a rate, by name."""
-        return {each.name: each.rate for each in self.programs if each.rate and each.rate.asked_hz}
+        return {program.name: program.rate for program in self.programs if program.rate and program.rate.asked_hz}
 
     @property
     def is_off_rate(self) -> bool:

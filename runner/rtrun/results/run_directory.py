@@ -47,9 +47,9 @@ def unused_results(folder: Path) -> Path:
 
 def make_new_results(folder: Path) -> Path:
     """Make `unused_results` of a folder; nobody else gets it. Raises as `make_results`."""
-    while not make_results(made := unused_results(folder)):
+    while not make_results(results := unused_results(folder)):
         pass  # another process took that name first
-    return made
+    return results
 
 
 @contextlib.contextmanager
@@ -182,7 +182,7 @@ def all_or_none(results: Path, number: str) -> Iterator[Path]:
     try:
         with filling(results / number) as staged:
             yield staged
-            for folder in sorted(staged.iterdir(), key=lambda each: (each.name == number, each.name)):
+            for folder in sorted(staged.iterdir(), key=lambda entry: (entry.name == number, entry.name)):
                 rename(folder, results / folder.name)
             staged.rmdir()
     except InfrastructureError as error:

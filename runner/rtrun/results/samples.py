@@ -44,10 +44,10 @@ class Samples:
     columns: dict[str, Int64s]
     series: dict[str, IndexedValues]
 
-    def judged(self, of: Measure | None) -> IndexedValues:
+    def judged(self, asked: Measure | None) -> IndexedValues:
         """The series that a question is about. Raises UsageError when the suite does not measure it."""
         try:
-            measure = suite(self.record.suite).judged(of)
+            measure = suite(self.record.suite).judged(asked)
         except UsageError as error:
             raise UsageError(f"{self.path}: {self.record.suite} {error}") from None
         return next(values for name, values in self.series.items() if called(name) == measure)

@@ -43,12 +43,12 @@ class Header:
     """Everything known about a series except its values.
 
     For a single file, `run` is the name of the file, `target` is empty, and `parameters` are those that the file
-    states. `of` is the name of this series in a question, None if no question can ask for it. `main` marks the series
-    that the question is about and that is judged. `startup` are the values of the first loops, which no figure
-    includes. `missing`, `out_of_order`, `duplicate`, `not_fired` and `skipped` count what is not a value.
-    `incomplete` is the reason why fewer values were measured than asked for, `undecidable` the reason why no answer can
-    rest on them; empty where there is none. `remarks` are sentences on what the file does not state, or stated wrongly
-    and was corrected.
+    states. `measure` is the name of this series in a question, None if no question can ask for it. `main` marks the
+    series that the question is about and that is judged. `startup` are the values of the first loops, which no figure
+    includes. `missing`, `out_of_order`, `duplicate`, `not_fired` and `skipped` count what is not a value. `incomplete`
+    is the reason why fewer values were measured than asked for, `undecidable` the reason why no answer can rest on
+    them; empty where there is none. `remarks` are sentences on what the file does not state, or stated wrongly and was
+    corrected.
     """
 
     run: str
@@ -56,7 +56,7 @@ class Header:
     suite: str
     output: str
     series: str
-    of: Measure | None = None
+    measure: Measure | None = None
     main: bool = True
     parameters: dict[str, Value]
     platform: Platform = Platform.HARDWARE
@@ -76,7 +76,7 @@ class Header:
     @property
     def is_usual(self) -> bool:
         """Whether a question that names no series means this one, where its suite has several."""
-        return self.main and (self.of is None or self.of == measures(self.suite)[0])
+        return self.main and (self.measure is None or self.measure == measures(self.suite)[0])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -129,40 +129,40 @@ class Result:
 
 def results_of(every_series: Iterable[Series]) -> tuple[Result, ...]:
     """The figures of each series."""
-    return tuple(Result(header=one.header, figures=one.figures()) for one in every_series)
+    return tuple(Result(header=series.header, figures=series.figures()) for series in every_series)
 
 
-def read_file(path: Path, of: Measure | None = None) -> tuple[Series, ...]:
-    """Read every series in a log, or in an npy and the json of its name; `of` is the measure that the question names.
+def read_file(path: Path, measure: Measure | None = None) -> tuple[Series, ...]:
+    """Read every series in a log, or in an npy and the json of its name; `measure` is the one that the question names.
 
     Raises UsageError as `read_log` and `read_samples` do, and for a file of another kind.
     """
     if path.suffix == ".log":
         from rtrun.results.gnuplot_log import read_log  # takes as long to load as samples to read
 
-        return (series_of_log(read_log(path), of),)
+        return (series_of_log(read_log(path), measure),)
     if path.suffix in (".npy", ".json"):
-        return series_of_samples(read_samples(path), of)
+        return series_of_samples(read_samples(path), measure)
     raise UsageError(f"{path}: not a run directory, a folder of runs, or a .log, .npy or .json of a suite")
 
 
-def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[SampleSeries, ...]:
-    """Every series in samples; the one that a question about `of` means is the main one.
+def series_of_samples(samples: Samples, measure: Measure | None = None) -> tuple[SampleSeries, ...]:
+    """Every series in samples; the one that a question about `measure` means is the main one.
 
     Raises UsageError when the suite measures no such thing.
     """
     record = samples.record
     counts = record.counts
-    main = samples.judged(of)
+    main = samples.judged(measure)
     first = next(iter(samples.columns.values()))
     period_ns = float(int(first[-1]) - int(first[0])) / (first.size - 1) if first.size > 1 else 0.0
     sample_series = []
-    told: set[Measure | None] = set()
+    named: set[Measure | None] = set()
     for name, values in samples.series.items():
         # A question about "latency" fits two series of a one-shot timer. The first is meant; the second is that of
         # 2014.
-        known = None if called(name) in told else called(name)
-        told.add(known)
+        known = None if called(name) in named else called(name)
+        named.add(known)
         loops = startup_loops(name) if suite(record.suite).subject == "started" else 0
         absent = values.absent
         head = min(loops - int(np.searchsorted(absent, loops)), values.values_ns.size)
@@ -173,7 +173,7 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
                     suite=record.suite,
                     output=samples.path.stem,
                     series=name,
-                    of=known,
+                    measure=known,
                     main=values is main,
                     parameters=record.requested,
                     startup=tuple(
@@ -199,7 +199,7 @@ def series_of_samples(samples: Samples, of: Measure | None = None) -> tuple[Samp
     return tuple(sample_series)
 
 
-def series_of_log(log: "Log", of: Measure | None = None) -> HistogramSeries:
+def series_of_log(log: "Log", measure: Measure | None = None) -> HistogramSeries:
     """The series in a log.
 
     A log names the loops of only its ten highest and lowest values. A start-up value among them is separated; a remark
@@ -207,7 +207,7 @@ def series_of_log(log: "Log", of: Measure | None = None) -> HistogramSeries:
     """
     known = called(log.series) if log.series in MAIN_2014 else None
     try:
-        if known is not None and of is not None and judged(measures(log.suite), of) != known:
+        if known is not None and measure is not None and judged(measures(log.suite), measure) != known:
             raise UsageError(f"a log keeps the {known} only: ask for it (--of {known})")
     except UsageError as error:
         raise UsageError(f"{log.path}: {log.suite}: {error}") from None
@@ -227,7 +227,7 @@ def series_of_log(log: "Log", of: Measure | None = None) -> HistogramSeries:
             suite=log.suite,
             output=log.path.stem,
             series=log.series,
-            of=known,
+            measure=known,
             main=known is not None,
             parameters=log.parameters,
             startup=startup,
@@ -246,10 +246,10 @@ def series_of_log(log: "Log", of: Measure | None = None) -> HistogramSeries:
     )
 
 
-def series_of_histogram(imported: "Imported", of: Measure | None = None) -> HistogramSeries:
+def series_of_histogram(imported: "Imported", measure: Measure | None = None) -> HistogramSeries:
     """The series in a histogram of another program. Raises UsageError for a question about its jitter."""
     return HistogramSeries(
-        header=_header_of(imported, of, undecidable=imported.undecidable),
+        header=_header_of(imported, measure, undecidable=imported.undecidable),
         histogram=imported.histogram,
         top=(),
         lowest=(),
@@ -257,10 +257,10 @@ def series_of_histogram(imported: "Imported", of: Measure | None = None) -> Hist
     )
 
 
-def series_of_imported_samples(imported: "ImportedSamples", of: Measure | None = None) -> SampleSeries:
+def series_of_imported_samples(imported: "ImportedSamples", measure: Measure | None = None) -> SampleSeries:
     """The series in samples of another program. Raises UsageError for a question about its jitter."""
     values_ns = imported.values_ns
-    header = _header_of(imported, of)
+    header = _header_of(imported, measure)
     # cyclictest prints whole microseconds, truncated, unless -N asks for ns.
     if values_ns.size and not np.any(values_ns % _US):
         header = replace(header, clock_step_ns=max(_US, header.clock_step_ns or 1))
@@ -272,9 +272,9 @@ def series_of_imported_samples(imported: "ImportedSamples", of: Measure | None =
     )
 
 
-def _header_of(imported: "Imported | ImportedSamples", of: Measure | None, undecidable: str = "") -> Header:
+def _header_of(imported: "Imported | ImportedSamples", measure: Measure | None, undecidable: str = "") -> Header:
     try:
-        judged(("latency",), of)
+        judged(("latency",), measure)
     except UsageError as error:
         raise UsageError(f"{imported.name}: {imported.source} {error}") from None
     return Header(
@@ -282,7 +282,7 @@ def _header_of(imported: "Imported | ImportedSamples", of: Measure | None, undec
         suite=imported.source,
         output=imported.name,
         series="latency",
-        of="latency",
+        measure="latency",
         main=True,
         parameters=dict(imported.parameters),
         period_ns=imported.period_ns,

@@ -155,12 +155,12 @@ def in_parallel(work, times):
     """What calls at the same time return; each opens the folder anew, as a process of its own would."""
     barrier = threading.Barrier(times)
 
-    def one(number):
+    def call(number):
         barrier.wait()
         return work(number)
 
     with ThreadPoolExecutor(times) as pool:
-        return list(pool.map(one, range(times)))
+        return list(pool.map(call, range(times)))
 
 
 def test_nobody_gets_the_number_of_another(tmp_path):
@@ -198,8 +198,8 @@ def test_what_is_put_aside_at_the_same_time_is_kept_each(tmp_path):
 
 
 def test_nobody_gets_the_new_folder_of_another(tmp_path):
-    made = in_parallel(lambda _: run_directory.make_new_results(tmp_path / "a" / "quick").name, 16)
-    assert sorted(made) == sorted(["quick", *(f"quick-{number}" for number in range(2, 18))][:16])
+    names = in_parallel(lambda _: run_directory.make_new_results(tmp_path / "a" / "quick").name, 16)
+    assert sorted(names) == sorted(["quick", *(f"quick-{number}" for number in range(2, 18))][:16])
 
 
 @pytest.mark.parametrize("has_begun", [False, True])

@@ -49,7 +49,7 @@ def adopt(
         named = kind.logs.series if kind and kind.logs else {}
         endings = {series: f"-{ending}" for ending, series in named.items() if ending}
         output = next(
-            (path.stem.removesuffix(each) for each in endings.values() if path.stem.endswith(each)), path.stem
+            (path.stem.removesuffix(ending) for ending in endings.values() if path.stem.endswith(ending)), path.stem
         )
         given.check(path, unit_ns=1000, period_ns=period_of(log.parameters))
         record = _record(name, results, log.suite, log.parameters, [output], platform, path, identity)
@@ -60,10 +60,10 @@ def adopt(
             shutil.copyfile(path, partial / f"{output}{ending}.log")
             run_directory.close(partial, folder, record)
         return [(folder, ("the samples, and their order but for the listed extremes", *log.remarks))]
-    made = []
+    adopted = []
     contexts: dict[str, list[Imported | ImportedSamples]] = {}
-    for one in read(path, given):
-        contexts.setdefault(str(one.parameters.get("context", "")), []).append(one)
+    for imported in read(path, given):
+        contexts.setdefault(str(imported.parameters.get("context", "")), []).append(imported)
     for context, members in contexts.items():
         run = f"{name}-{context}" if context else name
         folder = _new(results, run)
@@ -73,7 +73,7 @@ def adopt(
             results,
             first.source,
             first.parameters,
-            [one.name for one in members],
+            [member.name for member in members],
             platform,
             path,
             identity,
@@ -81,14 +81,14 @@ def adopt(
         )
         with run_directory.filling(folder) as partial:
             shutil.copyfile(path, partial / f"original{path.suffix}")
-            for one in members:
-                if isinstance(one, Imported):
-                    atomic.write_text(partial / f"{one.name}{ENDING}", histogram_text(one))
+            for member in members:
+                if isinstance(member, Imported):
+                    atomic.write_text(partial / f"{member.name}{ENDING}", histogram_text(member))
                 else:
-                    write_samples(partial, one)
+                    write_samples(partial, member)
             run_directory.close(partial, folder, record)
-        made.append((folder, tuple(dict.fromkeys(text for one in members for text in one.left_out))))
-    return made
+        adopted.append((folder, tuple(dict.fromkeys(text for member in members for text in member.left_out))))
+    return adopted
 
 
 def _new(results: Path, run: str) -> Path:

@@ -48,7 +48,7 @@ def load(path: Path, text: str) -> dict[str, Any]:
     if match := _NO_MEAN.search(text):
         # The mean of no values divides zero by zero, and C prints that as something that is not JSON.
         line = text.count("\n", 0, match.start()) + 1
-        number = next((each[1] for each in reversed([*_NUMBERED.finditer(text, 0, match.start())])), "?")
+        number = next((found[1] for found in reversed([*_NUMBERED.finditer(text, 0, match.start())])), "?")
         raise UsageError(
             f"{path}:{line}: {match[0]}: thread or CPU {number} made no measurement, expected one at least of each; "
             "measure longer, or start fewer threads"
@@ -155,9 +155,9 @@ def check_statistics(
     filled = {value: count for value, count in sorted(bins.items()) if count}
     n = sum(filled.values()) + overflow
     if n == 0:
-        for each in (mean, most):
-            if each.value:
-                raise UsageError(f"{each.place}: {each.value:g}, but nothing was measured")
+        for printed_value in (mean, most):
+            if printed_value.value:
+                raise UsageError(f"{printed_value.place}: {printed_value.value:g}, but nothing was measured")
         return
     lowest_bin, last_bin = min(filled, default=limit), max(filled, default=limit)
     if least.value is not None and not (lowest_bin <= least.value and (not filled or least.value < lowest_bin + width)):

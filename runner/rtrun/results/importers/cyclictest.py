@@ -104,8 +104,8 @@ def _check_shape(path: Path, parts: _Text, threads: int) -> None:
     place = f"{path}:{parts.lines['Max Latencies']}"
     expected = dict.fromkeys(widths, columns) | {"Min Latencies": threads, "Avg Latencies": threads}
     if not 0 < threads <= columns <= threads + 1 or widths != expected or len(parts.columns) != columns:
-        told = ", ".join(f"{count} in {name}" for name, count in widths.items())
-        raise UsageError(f"{place}: the number of threads differs: {len(parts.columns)} columns of bins, {told}")
+        numbers = ", ".join(f"{count} in {name}" for name, count in widths.items())
+        raise UsageError(f"{place}: the number of threads differs: {len(parts.columns)} columns of bins, {numbers}")
     for thread in range(threads):
         listed, overflow = parts.cycles.get(thread), parts.summary["Histogram Overflows"][thread]
         if listed is None:
@@ -124,8 +124,8 @@ def _check_shape(path: Path, parts: _Text, threads: int) -> None:
     if sums != parts.columns[threads]:
         raise UsageError(f"{place}: the last column is not the sum of the {threads} threads")
     for name in ("Total", "Histogram Overflows", "Max Latencies"):
-        *each, last = parts.summary.get(name, [0])
-        if last != (max(each) if name == "Max Latencies" else sum(each)):
+        *values, last = parts.summary.get(name, [0])
+        if last != (max(values) if name == "Max Latencies" else sum(values)):
             raise UsageError(f"{path}:{parts.lines[name]}: {name}: {last} does not sum up the threads")
 
 
@@ -249,7 +249,7 @@ def read_json_results(path: Path, text: str) -> tuple[Imported, ...] | None:
         return None
     command = read_command(path, key, words)
     by_number = numbered(path, "thread", threads)
-    if command.limit is None and not any(each.get("histogram") for each in by_number.values()):
+    if command.limit is None and not any(thread.get("histogram") for thread in by_number.values()):
         return None
     if (number := whole(path, "num_threads", data.get("num_threads"))) != len(by_number):
         raise UsageError(f"{path}: num_threads: {number}, but thread has {len(by_number)}")

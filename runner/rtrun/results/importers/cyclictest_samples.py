@@ -82,7 +82,7 @@ def read_samples(path: Path, *, unit_ns: int | None = None) -> tuple[ImportedSam
         if thread not in threads:
             raise UsageError(f"{path}: thread {thread}: no value, expected one at least of each of the threads from 0")
     samples = tuple(_samples(path, thread, threads[thread], unit_ns) for thread in sorted(threads))
-    samples = tuple(replace(one, parameters={"threads": len(samples)}) for one in samples)
+    samples = tuple(replace(imported, parameters={"threads": len(samples)}) for imported in samples)
     if histogram is not None:
         _check_histograms(path, samples, histogram, unit_ns)
     return samples
@@ -145,11 +145,11 @@ def _overwritten(values: Int64s) -> int | None:
 def _rest(path: Path, number: int, line: bytes, lines: Iterator[bytes]) -> str:
     """The rest of the file from `line` on, as a text of a histogram; its lines keep their numbers."""
     kept, size = [b"\n" * (number - 1)], 0
-    for each in chain([line], lines):
-        size += len(each)
+    for next_line in chain([line], lines):
+        size += len(next_line)
         if size > _HISTOGRAM_BYTES_MAX:
             raise UsageError(f"{path}: a histogram of more than {_HISTOGRAM_BYTES_MAX} bytes")
-        kept.append(each)
+        kept.append(next_line)
     return b"".join(kept).decode("utf-8", "replace")
 
 
@@ -158,9 +158,9 @@ def _check_histograms(path: Path, samples: tuple[ImportedSamples, ...], text: st
     histograms = read_text(path, text, unit_ns=unit_ns)
     if len(histograms) != len(samples):
         raise UsageError(f"{path}: values of {len(samples)} threads, but a histogram of {len(histograms)}")
-    for one, other in zip(samples, histograms, strict=True):
-        if (wrong := _beyond(one.values_ns, other.histogram)) is not None:
-            raise UsageError(f"{path}: {one.name}: more values of {time(wrong)} than the histogram holds")
+    for thread, other in zip(samples, histograms, strict=True):
+        if (wrong := _beyond(thread.values_ns, other.histogram)) is not None:
+            raise UsageError(f"{path}: {thread.name}: more values of {time(wrong)} than the histogram holds")
 
 
 def _beyond(values_ns: Int64s, histogram: Histogram) -> int | None:

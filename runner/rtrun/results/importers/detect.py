@@ -23,7 +23,7 @@ def read(path: Path, given: Given = NOTHING_GIVEN) -> Sequence[Imported | Import
 
     `given` is what the user states about the file. Raises UsageError ``file[:line]: what is wrong``.
     """
-    return tuple(given.complete(path, one) for one in _read(path, given))
+    return tuple(given.complete(path, imported) for imported in _read(path, given))
 
 
 def _read(path: Path, given: Given) -> Sequence[Imported | ImportedSamples]:

@@ -29,16 +29,16 @@ class Given:
             stated, given = time_text(round(period_ns)), time_text(1000 * self.interval_us)
             raise UsageError(f"{path}: its interval is {stated}, but --interval says {given}")
 
-    def complete(self, path: Path, one: ImportedT) -> ImportedT:
-        """Return `one`, with the interval where its file does not state it. Raises UsageError as `check` does."""
-        self.check(path, unit_ns=one.unit_ns, period_ns=one.period_ns)
-        if self.interval_us is None or one.period_ns is not None:
-            return one
+    def complete(self, path: Path, imported: ImportedT) -> ImportedT:
+        """Return `imported`, with the interval where its file does not state it. Raises UsageError as `check` does."""
+        self.check(path, unit_ns=imported.unit_ns, period_ns=imported.period_ns)
+        if self.interval_us is None or imported.period_ns is not None:
+            return imported
         return replace(
-            one,
+            imported,
             period_ns=1000.0 * self.interval_us,
-            left_out=tuple(text for text in one.left_out if text != NO_INTERVAL),
-            parameters=one.parameters | {"interval_us": self.interval_us},
+            left_out=tuple(text for text in imported.left_out if text != NO_INTERVAL),
+            parameters=imported.parameters | {"interval_us": self.interval_us},
         )
 
 

@@ -73,7 +73,7 @@ def read_pattern(pattern: str) -> NamePattern:
     names = _FIELD.findall(pattern)
     for name in names:
         if name not in FIELDS or names.count(name) > 1:
-            raise UsageError(f"--names: {{{name}}}: a field once each of {', '.join(f'{{{each}}}' for each in FIELDS)}")
+            raise UsageError(f"--names: {{{name}}}: a field once each of {', '.join(f'{{{word}}}' for word in FIELDS)}")
     parts = _FIELD.split(pattern)
     words = [
         f"(?P<{part}>{_FORMS.get(part, '[^/]+?')})" if place % 2 else re.escape(part)

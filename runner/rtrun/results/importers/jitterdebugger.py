@@ -28,13 +28,13 @@ def read_results(path: Path, text: str) -> tuple[Imported, ...]:
         raise UsageError(f"{path}: neither cyclictest's (cmdline, thread) nor jitterdebugger's (cpu) results")
     # Version 2 of the file added sysinfo, version 3 the resolution; version 1 has no version number.
     version = whole(path, "version", data.get("version", 1))
-    told = system if isinstance(system, dict) else {}
-    resolution = whole(path, "sysinfo.resolution_in_ns", told.get("resolution_in_ns", 1000 if version < 3 else None))
+    facts = system if isinstance(system, dict) else {}
+    resolution = whole(path, "sysinfo.resolution_in_ns", facts.get("resolution_in_ns", 1000 if version < 3 else None))
     if resolution not in _BINS:
         raise UsageError(f"{path}: sysinfo.resolution_in_ns: expected 1 or 1000, got {resolution}")
     limit = _BINS[resolution]
     threads = numbered(path, "cpu", cpus)
-    online = whole(path, "sysinfo.cpus_online", told.get("cpus_online", len(threads) if version < 2 else None))
+    online = whole(path, "sysinfo.cpus_online", facts.get("cpus_online", len(threads) if version < 2 else None))
     if online < len(threads):
         raise UsageError(f"{path}: sysinfo.cpus_online: {online}, but cpu has {len(threads)}")
     origin = read_origin(path, data)

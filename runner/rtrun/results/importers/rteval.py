@@ -78,7 +78,7 @@ class _Report:
         """Keep what an element states; the elements within it were taken before it."""
         if element.path == ("rteval",):
             self.version = element.attributes.get("version", "")
-        tool = next((each for each in (_TOOL, _OLD_TOOL) if element.path[: len(each)] == each), None)
+        tool = next((path for path in (_TOOL, _OLD_TOOL) if element.path[: len(path)] == path), None)
         if tool is None:
             return
         place = f"{self.path}:{element.line}"
@@ -211,7 +211,7 @@ def _checked(path: Path, part: _ReportPart, command: Command) -> Statistics:
 
 def _computed(bins: Mapping[int, int]) -> dict[str, float]:
     """What rteval computes from buckets, except the mean and the median, by rteval's names."""
-    values, counts = (np.array(each, dtype=np.float64) for each in (list(bins), list(bins.values())))
+    values, counts = (np.array(column, dtype=np.float64) for column in (list(bins), list(bins.values())))
     n = float(counts.sum())
     mean = float((values * counts).sum()) / n
     most_often = max(bins.values())

@@ -92,9 +92,9 @@ def _parts(path: Path, text: str) -> _TimerlatText:
         needed += [f"{name} below ALL:" for name in _OF_ALL]
     if missing := [name for name in needed if name not in parts.lines]:
         raise UsageError(f"{path}:{number}: cut off: no line {missing[0]}")
-    if parts.contexts not in (None, told := [name for name in _CONTEXTS if any(c[:3] == name for c in parts.columns)]):
+    if parts.contexts not in (None, seen := [name for name in _CONTEXTS if any(c[:3] == name for c in parts.columns)]):
         place = f"{path}:{parts.lines['ALL:']}"
-        raise UsageError(f"{place}: ALL: expected columns {' '.join(told)}, as Index has them")
+        raise UsageError(f"{place}: ALL: expected columns {' '.join(seen)}, as Index has them")
     return parts
 
 
@@ -129,7 +129,7 @@ def _check_of_all(path: Path, parts: _TimerlatText, k: int, context: str) -> Non
         )
         counts = [count for count in counts if count]
         # Each mean was truncated: the true sum may be higher by up to count - 1.
-        total = sum(each * count for each, count in zip(mean, counts, strict=True))
+        total = sum(average * count for average, count in zip(mean, counts, strict=True))
         allowed |= {
             "min:": (min(least), min(least)),
             "avg:": (total // n, (total + n - len(counts)) // n),

@@ -55,11 +55,11 @@ def test_every_value_of_the_program_is_read_in_its_order(tmp_path):
     text = cyclictest("-t2", "-h", "100")
     path = written(tmp_path, text)
     imported = read(path)
-    assert [one.name for one in imported] == ["cyclictest-t0", "cyclictest-t1"]
+    assert [thread.name for thread in imported] == ["cyclictest-t0", "cyclictest-t1"]
     lines = [[int(word) for word in line.split(":")] for line in text.splitlines() if line.count(":") == 2]
-    for number, one in enumerate(imported):
-        assert one.values_ns.tolist() == [1000 * value for thread, _, value in lines if thread == number]
-        assert one.period_ns is None and "-N" in one.left_out[1] and "last line" in one.left_out[-1]
+    for number, samples in enumerate(imported):
+        assert samples.values_ns.tolist() == [1000 * value for thread, _, value in lines if thread == number]
+        assert samples.period_ns is None and "-N" in samples.left_out[1] and "last line" in samples.left_out[-1]
     ((folder, _),) = adopt(path, tmp_path / "out", platform=Platform.HARDWARE)
     back = read_imported_samples(folder / f"cyclictest-t0{samples_file.ENDING}")
     assert back.values_ns.tolist() == imported[0].values_ns.tolist()
@@ -74,7 +74,7 @@ def test_reports_and_archives_take_them(tmp_path, capsys):
         written(tmp_path, printed(*rng.integers(2, 90, (2, 500)).tolist())), tmp_path / "out", platform=Platform.VIRTUAL
     )
     assert main(["show", "--json", str(tmp_path / "out" / "v")]) == 0
-    assert [one["n"] for one in json.loads(capsys.readouterr().out)["results"]] == [500, 500]
+    assert [result["n"] for result in json.loads(capsys.readouterr().out)["results"]] == [500, 500]
     assert main(["report", str(tmp_path / "out")]) == 0
     assert "not known: the interval" in (tmp_path / "out" / "report.html").read_text()
     assert main(["archive", "add", str(tmp_path / "out"), "--to", str(tmp_path / "archive")]) == 0
@@ -154,17 +154,17 @@ def test_values_and_their_histogram_agree(tmp_path):
         with pytest.raises(UsageError, match=rf"v.txt: cyclictest-t{thread}: more values of \d us than the histogram"):
             read(written(tmp_path, printed(*threads) + HISTOGRAM))
     with pytest.raises(UsageError, match=r"v.txt: values of 2 threads, but a histogram of 1"):
-        one = (
+        text = (
             HISTOGRAM.replace("\t000000\n0", "\n0")
             .replace("\t000001", "")
             .replace("\t000002", "")
             .replace("\t000000", "")
         )
-        one = (
-            one.replace("00000 00003\n", "00000\n").replace("00004 00003\n", "00004\n").replace("00008 00004", "00008")
+        text = (
+            text.replace("00000 00003\n", "00000\n").replace("00004 00003\n", "00004\n").replace("00008 00004", "00008")
         )
-        one = one.replace("00001 00000", "00001").replace("# Thread 1:\n", "")
-        read(written(tmp_path, GOOD + one))
+        text = text.replace("00001 00000", "00001").replace("# Thread 1:\n", "")
+        read(written(tmp_path, GOOD + text))
     with pytest.raises(UsageError, match=r"v.txt:22: thread 1: |v.txt:\d+: thread 1: a mean of 90"):
         read(written(tmp_path, GOOD + HISTOGRAM.replace("00004 00003\n", "00004 00090\n")))
 

@@ -63,8 +63,8 @@ def cyclictest(tmp_path_factory):
 @pytest.mark.root
 def test_cyclictest_tells_the_same_in_text_and_json(cyclictest):
     text, data = read(cyclictest / "run.txt"), read(cyclictest / "run.json")
-    assert [one.name for one in text] == [one.name for one in data] == ["cyclictest-t0", "cyclictest-t1"]
-    assert 1000 in [one.histogram.n for one in text]
+    assert [thread.name for thread in text] == [thread.name for thread in data] == ["cyclictest-t0", "cyclictest-t1"]
+    assert 1000 in [thread.histogram.n for thread in text]
     for a, b in zip(text, data, strict=True):
         # cyclictest ends when the faster thread is done, and the other one may add values between the two outputs.
         if max(a.histogram.n, b.histogram.n) < 1000:
@@ -85,19 +85,19 @@ def test_jitterdebugger_is_read(tmp_path):
     subprocess.run([program, "-l", "500", "-p", "1", "-o", str(tmp_path)], capture_output=True, check=True, timeout=60)
     imported = read(tmp_path / "results.json")
     raw = json.loads((tmp_path / "results.json").read_text())["cpu"]
-    assert [one.histogram.n for one in imported] == [cpu["count"] for cpu in raw.values()]
-    assert [one.histogram.max_ns for one in imported] == [1000 * cpu["max"] for cpu in raw.values()]
+    assert [cpu.histogram.n for cpu in imported] == [cpu["count"] for cpu in raw.values()]
+    assert [cpu.histogram.max_ns for cpu in imported] == [1000 * cpu["max"] for cpu in raw.values()]
 
 
 def test_timerlat_is_read_by_context(tmp_path):
     file = tmp_path / "tl.txt"
     file.write_text(TIMERLAT)
-    imported = {one.name: one for one in read(file)}
+    imported = {column.name: column for column in read(file)}
     thread = imported["timerlat-Thr-001"].histogram
     assert (thread.n, thread.overflow, thread.bin_ns, thread.max_ns) == (1002, 2, 10_000, 210_000)
     assert thread.values_ns.tolist() == [0, 10_000, 20_000]
-    made = adopt(file, tmp_path / "out", platform=Platform.HARDWARE)
-    assert [folder.name for folder, _ in made] == ["tl-interrupt", "tl-thread", "tl-user"]
+    adopted = adopt(file, tmp_path / "out", platform=Platform.HARDWARE)
+    assert [folder.name for folder, _ in adopted] == ["tl-interrupt", "tl-thread", "tl-user"]
     assert [group.n for group in study(tmp_path / "out", THESIS).groups] == [1999, 2001, 1999]
 
 
@@ -121,7 +121,7 @@ def test_logs_of_2014_become_runs(tmp_path, log, capsys):
     printed = capsys.readouterr().out
     assert "not known of " in printed and ": the samples" in printed
     (group,) = study(tmp_path / "out", THESIS).groups
-    assert group.n + sum(len(one.header.startup) for one in group.digests) == int(read_log(log).count.sum())
+    assert group.n + sum(len(digest.header.startup) for digest in group.digests) == int(read_log(log).count.sum())
 
 
 VENDOR = """# /dev/cpu_dma_latency set to 0us
@@ -144,7 +144,7 @@ VENDOR = """# /dev/cpu_dma_latency set to 0us
 def test_cyclictest_is_read_whatever_the_order_of_its_parts(tmp_path):
     file = tmp_path / "vendor.txt"
     file.write_text(VENDOR)
-    first, second = (one.histogram for one in read(file))
+    first, second = (thread.histogram for thread in read(file))
     assert (first.values_ns.tolist(), first.counts.tolist()) == ([1000, 2000], [4, 2])
     assert (first.overflow, first.overflow_from_ns, first.max_ns, first.mean_ns) == (1, 4000, 200_000, 29_000.0)
     assert (second.values_ns.tolist(), second.counts.tolist()) == ([1000, 3000], [2, 3])
@@ -156,7 +156,7 @@ def test_the_mean_that_was_printed_is_shown_in_spite_of_an_overflow(tmp_path, ca
     adopt(file, tmp_path / "out", platform=Platform.HARDWARE)
     assert main(["show", "--json", str(tmp_path / "out" / "vendor")]) == 0
     results = json.loads(capsys.readouterr().out)["results"]
-    assert [(one["n"], one["mean_us"], one["max_us"]) for one in results] == [(7, 29.0, 200.0), (5, 2.2, 3.0)]
+    assert [(row["n"], row["mean_us"], row["max_us"]) for row in results] == [(7, 29.0, 200.0), (5, 2.2, 3.0)]
 
 
 def test_an_interval_that_the_caller_set_is_known(tmp_path):
@@ -180,8 +180,8 @@ def test_histograms_of_different_length_are_reported_together(tmp_path, capsys):
 def test_more_bins_than_any_program_has_are_refused(tmp_path, monkeypatch):
     rows = "".join(f"{value} 1\n" for value in range(30))
     (tmp_path / "a.txt").write_text(f"# Histogram\n{rows}# Total: 30\n# Max Latencies: 29\n")
-    made = json.dumps({"cpu": {"0": {"count": 30, "max": 29, "histogram": {str(value): 1 for value in range(30)}}}})
-    (tmp_path / "b.json").write_text(made)
+    text = json.dumps({"cpu": {"0": {"count": 30, "max": 29, "histogram": {str(value): 1 for value in range(30)}}}})
+    (tmp_path / "b.json").write_text(text)
     (tmp_path / "c.txt").write_text(TIMERLAT)
     monkeypatch.setattr(counts, "MAX_BINS", 10)
     for file in sorted(tmp_path.iterdir()):
@@ -378,24 +378,24 @@ def test_json_whose_values_all_lie_beyond_the_last_bin_is_read(tmp_path, bins):
     thread = {"histogram": {}, "cycles": 50, "min": 70, "max": 148, "avg": 96.38}
     data = {"cmdline:": f"cyclictest {bins} -l50", "num_threads": 1, "resolution_in_ns": 0, "thread": {"0": thread}}
     (tmp_path / "x.json").write_text(json.dumps(data))
-    (one,) = read(tmp_path / "x.json")
-    assert (one.histogram.n, one.histogram.overflow, one.histogram.overflow_from_ns) == (50, 50, 20_000)
+    (imported,) = read(tmp_path / "x.json")
+    assert (imported.histogram.n, imported.histogram.overflow, imported.histogram.overflow_from_ns) == (50, 50, 20_000)
 
 
 FILES = LOGS_2014.parent / "importers"
 
 
 def test_cyclictest_without_totals_and_empty_rows_is_read():
-    histograms = [one.histogram for one in read(FILES / "cyclictest-2.10-h.txt")]
-    assert [(one.n, one.overflow, one.max_ns) for one in histograms] == [(1500, 1, 740_000), (1500, 1, 737_000)]
+    histograms = [thread.histogram for thread in read(FILES / "cyclictest-2.10-h.txt")]
+    assert [(bins.n, bins.overflow, bins.max_ns) for bins in histograms] == [(1500, 1, 740_000), (1500, 1, 737_000)]
 
 
 def test_the_sum_column_of_histofall_is_no_thread():
-    assert [one.histogram.n for one in read(FILES / "histofall-2threads-rt-tests-2.x.txt")] == [1200, 1200]
+    assert [thread.histogram.n for thread in read(FILES / "histofall-2threads-rt-tests-2.x.txt")] == [1200, 1200]
 
 
 def test_one_bucket_of_rtla_reaches_to_the_largest_value():
-    irq, thread = (one.histogram for one in read(FILES / "rtla-timerlat-b50-one-bucket.txt"))
+    irq, thread = (column.histogram for column in read(FILES / "rtla-timerlat-b50-one-bucket.txt"))
     assert irq.bin_ns == thread.bin_ns == 42_000 and thread.max_ns == 41_000
 
 

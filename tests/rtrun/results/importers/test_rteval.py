@@ -26,12 +26,12 @@ def written(tmp_path, text):
 @pytest.mark.parametrize("profile", [False, True])
 def test_each_cpu_is_a_histogram(tmp_path, profile):
     imported = read(written(tmp_path, report(profile=profile)))
-    assert [one.name for one in imported] == ["rteval-cpu0", "rteval-cpu3"]
-    for one, bins in zip(imported, CPUS.values(), strict=True):
+    assert [cpu.name for cpu in imported] == ["rteval-cpu0", "rteval-cpu3"]
+    for cpu, bins in zip(imported, CPUS.values(), strict=True):
         values = [value * 1000 for value in bins]
-        assert (one.histogram.values_ns.tolist(), one.histogram.counts.tolist()) == (values, [*bins.values()])
-        assert (one.histogram.max_ns, one.histogram.bin_ns, one.histogram.overflow) == (values[-1], 1000, 0)
-        assert one.period_ns == 100_000.0 and "the order" in one.left_out[0] and not one.undecidable
+        assert (cpu.histogram.values_ns.tolist(), cpu.histogram.counts.tolist()) == (values, [*bins.values()])
+        assert (cpu.histogram.max_ns, cpu.histogram.bin_ns, cpu.histogram.overflow) == (values[-1], 1000, 0)
+        assert cpu.period_ns == 100_000.0 and "the order" in cpu.left_out[0] and not cpu.undecidable
 
 
 def test_it_becomes_a_run_that_is_judged(tmp_path, capsys):
@@ -39,7 +39,7 @@ def test_it_becomes_a_run_that_is_judged(tmp_path, capsys):
     (group,) = study(tmp_path / "out", Question(deadline_ns=10_000)).groups
     assert (group.n, group.verdict.late) == (884, 1)
     assert main(["show", "--json", str(tmp_path / "out" / "summary")]) == 0
-    assert [one["n"] for one in json.loads(capsys.readouterr().out)["results"]] == [494, 390]
+    assert [result["n"] for result in json.loads(capsys.readouterr().out)["results"]] == [494, 390]
 
 
 @pytest.mark.parametrize("version", ["3.2", "2.14", "", "UNIT-TEST"])
@@ -58,7 +58,7 @@ def test_a_run_that_a_value_ended_says_so(tmp_path):
 
 @pytest.mark.parametrize("bins", [{"0": {}, "1": {4: 1}}, {"0": {4: 1}, "1": {4: 1}}])
 def test_a_cpu_of_no_value_or_of_one(tmp_path, bins):
-    assert [one.histogram.n for one in read(written(tmp_path, report(bins)))] == [
+    assert [cpu.histogram.n for cpu in read(written(tmp_path, report(bins)))] == [
         sum(b.values()) for b in bins.values()
     ]
 

@@ -92,14 +92,14 @@ EMPTY = r"[0-9]{6} (000000\t?)+"
 def meaning(imported):
     return [
         (
-            one.name,
-            one.histogram.values_ns.tolist(),
-            one.histogram.counts.tolist(),
-            (one.histogram.bin_ns, one.histogram.overflow, one.histogram.overflow_from_ns),
-            (one.histogram.max_ns, one.histogram.mean_ns, one.period_ns),
-            one.parameters,
+            entry.name,
+            entry.histogram.values_ns.tolist(),
+            entry.histogram.counts.tolist(),
+            (entry.histogram.bin_ns, entry.histogram.overflow, entry.histogram.overflow_from_ns),
+            (entry.histogram.max_ns, entry.histogram.mean_ns, entry.period_ns),
+            entry.parameters,
         )
-        for one in imported
+        for entry in imported
     ]
 
 
@@ -197,7 +197,7 @@ def test_a_line_or_key_that_is_missing_is_refused_by_its_name(tmp_path, name):
     ],
 )
 def test_the_summary_of_all_cpus_is_that_of_the_columns(tmp_path, right, wrong, message):
-    assert [one.histogram.n for one in read(written(tmp_path / "tl.txt", TWO_CPUS))] == [4, 4, 4, 0]
+    assert [column.histogram.n for column in read(written(tmp_path / "tl.txt", TWO_CPUS))] == [4, 4, 4, 0]
     at = TWO_CPUS.rindex(right)
     with pytest.raises(UsageError, match=message):
         read(written(tmp_path / "tl.txt", TWO_CPUS[:at] + wrong + TWO_CPUS[at + len(right) :]))
@@ -264,14 +264,14 @@ def test_results_of_jitterdebugger_that_contradict_themselves(tmp_path, change, 
 
 
 def test_nanoseconds_of_jitterdebugger_end_at_a_millisecond(tmp_path):
-    one = {"histogram": {"4000": 1}, "count": 2, "min": 4000, "max": 1_200_000, "avg": 602_000.0}
-    data = JITTERDEBUGGER | {"cpu": {"0": one}, "sysinfo": {"cpus_online": 2, "resolution_in_ns": 1}}
+    cpu = {"histogram": {"4000": 1}, "count": 2, "min": 4000, "max": 1_200_000, "avg": 602_000.0}
+    data = JITTERDEBUGGER | {"cpu": {"0": cpu}, "sysinfo": {"cpus_online": 2, "resolution_in_ns": 1}}
     (read_back,) = read(written(tmp_path / "x.json", json.dumps(data)))
     assert (read_back.histogram.overflow, read_back.histogram.overflow_from_ns) == (1, 1_000_000)
 
 
 @pytest.mark.parametrize(
-    ("command", "told"),
+    ("command", "expected"),
     [
         ("cyclictest -q -h 400 -t2", (400_000, 1000, 1e6)),
         ("cyclictest -qmh400 -Sp99 -i200", (400_000, 1000, 200_000.0)),
@@ -285,14 +285,14 @@ def test_nanoseconds_of_jitterdebugger_end_at_a_millisecond(tmp_path):
         ("cyclictest --histogram=232", None),
     ],
 )
-def test_the_command_line_tells_where_the_bins_end(command, told):
+def test_the_command_line_tells_where_the_bins_end(command, expected):
     text = VALID["cyclictest-2.10.txt"]
-    if told is None:
+    if expected is None:
         with pytest.raises(UsageError, match=r"the histogram ends below 232|values are 1000000 and more"):
             read_text(Path("x.txt"), text, command=command)
         return
     (first, _) = read_text(Path("x.txt"), text, command=command)
-    assert (first.histogram.overflow_from_ns, first.histogram.bin_ns, first.period_ns) == told
+    assert (first.histogram.overflow_from_ns, first.histogram.bin_ns, first.period_ns) == expected
 
 
 def test_the_sum_of_one_thread_is_no_thread():
@@ -301,8 +301,8 @@ def test_the_sum_of_one_thread_is_no_thread():
         "# Histogram\n000003 000002\t00000{}\n# Min Latencies: 00003\n# Avg Latencies: 00003\n# Max Latencies: 00003\n"
     )
     rows += "# Histogram Overflows: 00000\n# Histogram Overflow at cycle number:\n# Thread 0: \n"
-    (one,) = read_text(Path("x.txt"), rows.format(2))
-    assert one.histogram.n == 2
+    (thread,) = read_text(Path("x.txt"), rows.format(2))
+    assert thread.histogram.n == 2
     with pytest.raises(UsageError, match=r"x\.txt:1: the last column is not the sum"):
         read_text(Path("x.txt"), rows.format(3))
 

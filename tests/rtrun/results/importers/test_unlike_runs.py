@@ -82,8 +82,8 @@ def test_fifo_at_200_us_and_other_at_1_ms_are_two_rows(tmp_path, bring, capsys):
 def test_two_runs_alike_are_one_group(tmp_path, bring):
     alike = changed(words="-q -D 10m --json=elsewhere.json")
     third = changed(words="-i 200 -p99")
-    for number, each in enumerate((alike, third), start=1):
-        moved(each, number)
+    for number, text in enumerate((alike, third), start=1):
+        moved(text, number)
     assert bring({"a.json": FIFO.read_text(), "b.json": alike, "c.json": third}) == 0
     (group,) = groups(tmp_path)
     assert group.runs == ("a", "b", "c")
@@ -204,7 +204,7 @@ def test_unit_and_interval_of_a_text_are_given(tmp_path, bring, capsys):
     assert "the interval" not in printed and "-N" not in printed
     (group,) = groups(tmp_path)
     assert group.histogram.bin_ns == 1 and group.histogram.max_ns == 740
-    assert {one.header.period_ns for one in group.digests} == {500_000.0}
+    assert {digest.header.period_ns for digest in group.digests} == {500_000.0}
     assert bring({"j.json": JITTERDEBUGGER}, "--interval", "500us") == 0
     assert read_record(tmp_path / "out" / "j").parameters == {"interval_us": 500}
     assert "the interval" not in capsys.readouterr().out

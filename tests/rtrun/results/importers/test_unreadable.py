@@ -35,9 +35,9 @@ def program_of(path: Path) -> str:
 def test_the_program_is_named_and_how_to_measure(path):
     with pytest.raises(UsageError) as refused:
         read(path)
-    said = str(refused.value)
-    assert said.startswith(f"{path}: it is from {program_of(path)}, which ")
-    assert "easure with" in said
+    message = str(refused.value)
+    assert message.startswith(f"{path}: it is from {program_of(path)}, which ")
+    assert "easure with" in message
 
 
 def test_each_kind_has_a_file():
