@@ -30,7 +30,7 @@ def take_account(
         clock_step_ns=clock_step_ns(headers),
         emulated=headers[0].platform is Platform.EMULATED,
         side_by_side=side_by_side,
-        lost=tuple(str(one) for one in lost if one.may_be_of(kinds)),
+        lost=tuple(str(attempt) for attempt in lost if attempt.may_be_of(kinds)),
         unseen_share=seen.unseen_share,
         hidden_share=seen.hidden_share,
         hours=hours_measured(of_runs),

@@ -96,16 +96,16 @@ def _kinds(record: RunRecord, records: Mapping[Path, RunRecord]) -> frozenset[st
     kind = _kind(record)
     if record.status is RunStatus.OK or record.coverage is not None:
         return frozenset({kind})
-    alike = {one.run for one in records.values() if _kind(one) == kind}
-    return frozenset({kind, *(_kind(one) for one in records.values() if one.observed_by in alike)})
+    alike = {other.run for other in records.values() if _kind(other) == kind}
+    return frozenset({kind, *(_kind(other) for other in records.values() if other.observed_by in alike)})
 
 
 def _kinds_of_run(name: str, records: Mapping[Path, RunRecord]) -> frozenset[str]:
     """What the attempts at a run measure, including its streams, on every target and kernel with runs here."""
     run = _plain(name)
-    of_run = [one for folder, one in records.items() if run in (folder.name, one.observed_by)]
-    targets = {target_of(one) for one in records.values()}
-    return frozenset(kind_of(target, one.suite, one.circumstances) for one in of_run for target in targets)
+    of_run = [record for folder, record in records.items() if run in (folder.name, record.observed_by)]
+    targets = {target_of(record) for record in records.values()}
+    return frozenset(kind_of(target, record.suite, record.circumstances) for record in of_run for target in targets)
 
 
 def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator[LostAttempt]:
@@ -127,23 +127,23 @@ def _without_record(folder: Path, records: Mapping[Path, RunRecord]) -> Iterator
     closed = Counter(_plain(name) for name in names if not _CUT_OFF.search(name) and is_closed(folder / name))
     # A runner is still at work on its attempt.
     goes_on = is_at_work(folder)
-    for run, each in known.items():
+    for run, journaled in known.items():
         if not _is_warm_up(run):
-            for why in _unaccounted(each, closed[run], kept[run], goes_on=goes_on):
+            for why in _unaccounted(journaled, closed[run], kept[run], goes_on=goes_on):
                 yield LostAttempt(run=run, why=why, kinds=_kinds_of_run(run, records))
 
 
-def _unaccounted(each: RunAttempts, closed: int, kept: int, *, goes_on: bool) -> Iterator[str]:
-    """What the journal says about attempts at a run that the folder lacks; it has `closed` and `kept` ones."""
-    for _ in range(each.closed - closed):
+def _unaccounted(journaled: RunAttempts, closed: int, kept: int, *, goes_on: bool) -> Iterator[str]:
+    """What the journal says about attempts at a run that are not here; `closed` and `kept` count those here."""
+    for _ in range(journaled.closed - closed):
         here = f"{closed} of them {'is' if closed == 1 else 'are'} here"
-        yield f"closed {counted(each.closed, 'time')} by the journal, {here}"
-    for _ in range(each.kept - kept):
+        yield f"closed {counted(journaled.closed, 'time')} by the journal, {here}"
+    for _ in range(journaled.kept - kept):
         yield "cut off by a restart of the target, and what was kept of it is not here"
-    yield from each.given_up
-    # A runner may have been killed after it closed or kept the attempt, and before it wrote that down.
-    said = max(0, closed - each.closed) + max(0, kept - each.kept)
-    yield from each.never_closed(goes_on=goes_on)[said:]
+    yield from journaled.given_up
+    # A runner that was killed may have closed or kept it without time to write that down.
+    not_noted = max(0, closed - journaled.closed) + max(0, kept - journaled.kept)
+    yield from journaled.never_closed(goes_on=goes_on)[not_noted:]
 
 
 def _plain(name: str) -> str:

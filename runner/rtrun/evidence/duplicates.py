@@ -36,9 +36,9 @@ def copies_among(histograms: Sequence[tuple[str, Histogram]]) -> dict[str, str]:
     A run has a histogram for each of its outputs.
     """
     alike: dict[tuple[bytes, bytes, int, int | None], list[str]] = {}
-    for run, one in histograms:
-        if chance_of_same_counts(one) < BY_CHANCE:
-            key = (one.values_ns.tobytes(), one.counts.tobytes(), one.overflow, one.max_ns)
+    for run, histogram in histograms:
+        if chance_of_same_counts(histogram) < BY_CHANCE:
+            key = (histogram.values_ns.tobytes(), histogram.counts.tobytes(), histogram.overflow, histogram.max_ns)
             alike.setdefault(key, []).append(run)
     copies: dict[str, str] = {}
     for runs in alike.values():
@@ -61,32 +61,32 @@ def overlaps_among(trials: Sequence[tuple[str, Trials]]) -> dict[str, str]:
     names = list(dict.fromkeys(run for run, _ in trials))
     number_of = {name: number for number, name in enumerate(names)}
     numbers = [number_of[run] for run, _ in trials]
-    highest = [np.argsort(-one.high_ns, kind="stable")[:_COMPARED] for _, one in trials]
-    heights_ns = np.concatenate([one.high_ns[chosen] for (_, one), chosen in zip(trials, highest, strict=True)])
-    places = np.concatenate([one.high_at[chosen] for (_, one), chosen in zip(trials, highest, strict=True)])
+    highest = [np.argsort(-output.high_ns, kind="stable")[:_COMPARED] for _, output in trials]
+    heights_ns = np.concatenate([output.high_ns[chosen] for (_, output), chosen in zip(trials, highest, strict=True)])
+    places = np.concatenate([output.high_at[chosen] for (_, output), chosen in zip(trials, highest, strict=True)])
     runs = np.repeat(numbers, [chosen.size for chosen in highest])
     loops = np.zeros(len(names), np.int64)
-    np.maximum.at(loops, numbers, [one.n for _, one in trials])
+    np.maximum.at(loops, numbers, [output.n for _, output in trials])
 
     first, second = _each_two_alike(heights_ns)
     # Subscribers of one run measure the same moments.
-    told = (runs[first] != runs[second]) | (places[first] != places[second])
-    first, second = first[told], second[told]
+    distinct = (runs[first] != runs[second]) | (places[first] != places[second])
+    first, second = first[distinct], second[distinct]
     if not first.size:
         return {}
-    one, other, distance = runs[first], runs[second], places[first] - places[second]
-    order = np.lexsort((distance, other, one))
-    one, other, distance, first = one[order], other[order], distance[order], first[order]
-    is_new = (np.diff(one) != 0) | (np.diff(other) != 0) | (np.diff(distance) != 0)
+    run, other, distance = runs[first], runs[second], places[first] - places[second]
+    order = np.lexsort((distance, other, run))
+    run, other, distance, first = run[order], other[order], distance[order], first[order]
+    is_new = (np.diff(run) != 0) | (np.diff(other) != 0) | (np.diff(distance) != 0)
     begins = np.concatenate(([0], np.flatnonzero(is_new) + 1))
-    counts = np.diff(begins, append=one.size)
+    counts = np.diff(begins, append=run.size)
     like_itself = np.zeros(len(names), np.int64)
-    own = one[begins] == other[begins]
-    np.maximum.at(like_itself, one[begins[own]], counts[own])
+    own = run[begins] == other[begins]
+    np.maximum.at(like_itself, run[begins[own]], counts[own])
     overlaps: dict[str, str] = {}
     many = np.flatnonzero(~own & (counts >= SHARED_LEAST))
     for begin, count in zip(begins[many].tolist(), counts[many].tolist(), strict=True):
-        a, b, ahead = int(one[begin]), int(other[begin]), int(distance[begin])
+        a, b, ahead = int(run[begin]), int(other[begin]), int(distance[begin])
         start, end = max(0, ahead), min(int(loops[a]), int(loops[b]) + ahead)
         tenths = (places[first[begin : begin + count]] - start) * 10 // (end - start)
         count -= int(np.bincount(tenths).max())
@@ -100,6 +100,6 @@ def _each_two_alike(values: Int64s) -> tuple[Int64s, Int64s]:
     """The places of all pairs of equal values, the earlier ones first; both int64 of shape (pairs,)."""
     order = np.argsort(values, kind="stable")
     alike = np.split(order, np.flatnonzero(np.diff(values[order])) + 1)
-    pairs = [each[np.stack(np.triu_indices(each.size, 1))] for each in alike if 1 < each.size <= _PLACES_MAX]
+    pairs = [group[np.stack(np.triu_indices(group.size, 1))] for group in alike if 1 < group.size <= _PLACES_MAX]
     first, second = np.concatenate(pairs, axis=1) if pairs else np.empty((2, 0), np.int64)
     return first, second

@@ -41,11 +41,11 @@ def check_baseline_output(run: Run, text: str) -> str | None:
         )
     try:
         histograms = cyclictest.read_text(Path("cyclictest.stdout"), text, command=_command(run))
-        for each in histograms:
-            histogram_text(each)
+        for imported in histograms:
+            histogram_text(imported)
     except UsageError as error:
         return str(error)
-    measured = [each.histogram.n for each in histograms]
+    measured = [imported.histogram.n for imported in histograms]
     if wrong := _held_otherwise(run, text):
         return wrong
     threads, asked = int(run.parameters["threads"] or 1), int(run.parameters["repetitions"] or 0)

@@ -250,7 +250,7 @@ def _readings(word: str, lowest: int, highest: int) -> tuple[int, ...]:
 
 def while_measuring(observations: Iterable[Observation], *, is_attached: bool = False) -> list[Observation]:
     """The observations in which the suite had a thread; all of them for a run that observes other programs."""
-    return [each for each in observations if each.threads or is_attached]
+    return [sample for sample in observations if sample.threads or is_attached]
 
 
 def busy_percent(observations: Sequence[Observation]) -> float | None:
@@ -271,21 +271,21 @@ def summarize(
     would be among them.
     """
     seen, states = while_measuring(observations, is_attached=is_attached), list(states)
-    names = sorted({name for each in seen for name in each.loads})
-    rivals = {rival for each in seen for rival in each.rivals if not is_attached}
+    names = sorted({name for sample in seen for name in sample.loads})
+    rivals = {rival for sample in seen for rival in sample.rivals if not is_attached}
     first = sorted(rivals, key=lambda rival: (rival.policy != "DEADLINE", -rival.priority, rival.name))
     return Observed(
         policy=sorted({policy for policy, _, _ in states}),
         priority=sorted({priority for _, priority, _ in states}),
         cpus=_union(cpus for _, _, cpus in states),
-        loads={name: min(each.loads[name][0] if name in each.loads else 0 for each in seen) for name in names},
-        load_cpus=_union(cpus for each in seen for _, cpus in each.loads.values()),
-        governor=sorted({name for each in seen for name in each.governor}),
+        loads={name: min(sample.loads[name][0] if name in sample.loads else 0 for sample in seen) for name in names},
+        load_cpus=_union(cpus for sample in seen for _, cpus in sample.loads.values()),
+        governor=sorted({name for sample in seen for name in sample.governor}),
         busy_percent=busy_percent(seen),
-        sched_rt_runtime_us=sorted({each.sched_rt_runtime_us for each in seen if each.sched_rt_runtime_us}),
-        temperature_mc=_range(value for each in seen for value in each.temperature_mc),
-        frequency_khz=_range(value for each in seen for value in each.frequency_khz),
-        load_1min=_range(each.load_1min for each in seen),
+        sched_rt_runtime_us=sorted({sample.sched_rt_runtime_us for sample in seen if sample.sched_rt_runtime_us}),
+        temperature_mc=_range(value for sample in seen for value in sample.temperature_mc),
+        frequency_khz=_range(value for sample in seen for value in sample.frequency_khz),
+        load_1min=_range(sample.load_1min for sample in seen),
         rivals=first[:REPORTED_RIVALS],
         observations=len(seen),
     )

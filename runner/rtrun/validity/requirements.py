@@ -25,7 +25,7 @@ def requested(run: Run, background: Sequence[Background]) -> Requested:
         policy=(str(run.parameters["policy"]) if real_time else "OTHER") if has_policy else None,
         priority=(int(run.parameters["priority"] or 0) if real_time else 0) if has_policy else None,
         cpus=_list(run.parameters.get("cpu")),
-        loads={each.program.name: each.processes for each in background},
+        loads={load.program.name: load.processes for load in background},
         load_cpus=_list(run.settings.get("load_cpu")),
         governor=str(run.settings.get("governor") or "") or None,
         busy_percent=_busy_floor(run),
@@ -98,8 +98,8 @@ def _wrong_threads(
             others = [name for name, state in _named_threads(record) if not fits([state])]
             middleware = suites.middleware_of(run.suite, run.parameters)
             given = middlewares()[middleware].threads
-            told = f"; threads of {middleware} take it {given}" if given else ""
-            where = f" (not so: {', '.join(others[:NAMED_MAX])}{told})" if others else ""
+            remark = f"; threads of {middleware} take it {given}" if given else ""
+            where = f" (not so: {', '.join(others[:NAMED_MAX])}{remark})" if others else ""
             return f"{output}: asked for {_asked_words(asked)}, in effect was {_words_of(_threads_of(record))}{where}"
     for program, after_s, threads in _counted(run, observations, records):
         if not fits(threads):
@@ -109,7 +109,7 @@ def _wrong_threads(
     if asked.policy in (None, "OTHER") and not asked.cpus:
         return None
     # A program that writes no json must have been observed as asked for.
-    states = [threads for each in observations for threads in each.threads.values()]
+    states = [threads for sample in observations for threads in sample.threads.values()]
     if records or any(map(fits, states)):
         return None
     if not states:
@@ -153,8 +153,8 @@ def _wrong_loads(
 ) -> str | None:
     for load in background:
         name = load.program.name
-        for each in seen:
-            processes, cpus = each.loads.get(name, (0, frozenset()))
+        for sample in seen:
+            processes, cpus = sample.loads.get(name, (0, frozenset()))
             if processes < load.processes:
                 return (
                     f"condition {run.condition}: {name} had {processes} of {load.processes} processes "
@@ -171,7 +171,7 @@ def _wrong_loads(
 def _wrong_governor(asked: Requested, seen: Sequence[Observation]) -> str | None:
     if not asked.governor:
         return None
-    others = {name for each in seen for name in each.governor} - {asked.governor}
+    others = {name for sample in seen for name in sample.governor} - {asked.governor}
     if others:
         return f"asked for the governor {asked.governor}, in effect was {', '.join(sorted(others))}"
     return None
@@ -188,14 +188,14 @@ def _counted(
     """
     fits = _requirement_of(run)
     complete = all(record.complete for record in records.values())
-    for program in dict.fromkeys(name for each in observations for name in each.threads):
-        states = [(each, each.threads[program]) for each in observations if program in each.threads]
-        first_s, fitting = states[0][0].uptime_s, [each for each, threads in states if fits(threads)]
-        begin_s = min([first_s + STARTING_S, *(each.uptime_s for each in fitting)])
-        end_s = max([first_s - APART_S + run.least_s if complete else 0.0, *(each.until_s for each in fitting)])
-        for each, threads in states:
-            if begin_s <= each.uptime_s and each.until_s <= end_s:
-                yield program, each.uptime_s - first_s, threads
+    for program in dict.fromkeys(name for sample in observations for name in sample.threads):
+        states = [(sample, sample.threads[program]) for sample in observations if program in sample.threads]
+        first_s, fitting = states[0][0].uptime_s, [sample for sample, threads in states if fits(threads)]
+        begin_s = min([first_s + STARTING_S, *(sample.uptime_s for sample in fitting)])
+        end_s = max([first_s - APART_S + run.least_s if complete else 0.0, *(sample.until_s for sample in fitting)])
+        for sample, threads in states:
+            if begin_s <= sample.uptime_s and sample.until_s <= end_s:
+                yield program, sample.uptime_s - first_s, threads
 
 
 def _requirement_of(run: Run) -> Callable[[Iterable[ThreadState]], bool]:
@@ -220,8 +220,8 @@ def _asked_words(asked: Requested) -> str:
 
 
 def _words_of(threads: Iterable[ThreadState]) -> str:
-    each = dict.fromkeys(_words(policy, priority, sorted(cpus)) for policy, priority, cpus in threads)
-    return "; ".join(list(each)[:4]) or "nothing"
+    texts = dict.fromkeys(_words(policy, priority, sorted(cpus)) for policy, priority, cpus in threads)
+    return "; ".join(list(texts)[:4]) or "nothing"
 
 
 def _words(policy: str | None, priority: int | None, cpus: list[int] | None) -> str:

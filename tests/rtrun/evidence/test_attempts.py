@@ -138,7 +138,7 @@ BEGUN = ((RunState.STARTING, None), (RunState.LAUNCHING, None), (RunState.MEASUR
 @pytest.mark.parametrize("run", ["01-messages", "03-messages", "03-messages.warm-up"])
 def test_what_left_no_record_counts_unless_its_end_is_known(results, run, events, why, capsys):
     noted(results, run, *events)
-    assert lost_of(results, capsys) == [f"{run}: {each}" for each in why if "warm-up" not in run]
+    assert lost_of(results, capsys) == [f"{run}: {reason}" for reason in why if "warm-up" not in run]
 
 
 def test_what_a_killed_runner_closed_is_no_loss(results, capsys):
@@ -193,7 +193,7 @@ def test_a_topology_that_hung_counts_for_each_of_its_streams(tmp_path, name, cap
     write(tmp_path, name, 3, condition="cpu80", status="failed", reason="it hung")
     assert main(["verdict", str(tmp_path), *QUESTION, "--json"]) == 0
     lost = {group["runs"][0]: group["verdict"]["lost"] for group in json.loads(capsys.readouterr().out)["groups"]}
-    assert {run: len(each) for run, each in lost.items()} == {"01-graph": 1, "01-graph-scan": 1, "00-other": 0}
+    assert {run: len(reasons) for run, reasons in lost.items()} == {"01-graph": 1, "01-graph-scan": 1, "00-other": 0}
 
 
 def test_an_observation_that_was_killed_counts_though_it_left_nothing_but_its_number(tmp_path, capsys):

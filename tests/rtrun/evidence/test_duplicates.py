@@ -62,14 +62,14 @@ def draws(seed, n=5000, step_ns=1):
 @pytest.mark.parametrize("change", ["appended to", "cut off", "without its first lines", "each third value changed"])
 def test_a_log_that_was_changed_is_still_the_same_measurement(change, step_ns):
     """As by `tee -a` into one file for all runs, or by whoever wants one run to count twice."""
-    one, other = draws(1, step_ns=step_ns), draws(2, step_ns=step_ns)
+    original, other = draws(1, step_ns=step_ns), draws(2, step_ns=step_ns)
     copy = {
-        "appended to": np.concatenate((one, draws(3, step_ns=step_ns))),
-        "cut off": one[:3000],
-        "without its first lines": one[1000:],
-        "each third value changed": np.where(np.arange(one.size) % 3 == 0, draws(4, step_ns=step_ns), one),
+        "appended to": np.concatenate((original, draws(3, step_ns=step_ns))),
+        "cut off": original[:3000],
+        "without its first lines": original[1000:],
+        "each third value changed": np.where(np.arange(original.size) % 3 == 0, draws(4, step_ns=step_ns), original),
     }[change]
-    found = overlaps_among([trials("a", one), trials("b", other), trials("c", copy)])
+    found = overlaps_among([trials("a", original), trials("b", other), trials("c", copy)])
     assert found == {"a": "c", "c": "a"}
 
 

@@ -73,8 +73,8 @@ def test_every_thread_measured_as_often_as_asked(printed):
 )
 def test_idle_cpus_were_kept_awake_as_asked(asked, printed, reason):
     run = run_of("cyclictest", repetitions=10, threads=2, cpu_dma_latency_us=asked)
-    said = check_baseline_output(run, printed)
-    assert said == reason if reason is None else said.startswith(reason)
+    reported = check_baseline_output(run, printed)
+    assert reported == reason if reason is None else reported.startswith(reason)
 
 
 def test_a_thread_that_lagged_when_the_first_was_done_has_measured_less():
@@ -120,7 +120,7 @@ def test_a_character_that_is_none_is_of_no_matter(tmp_path):
     (tmp_path / "cyclictest.stdout").write_bytes(b"# \xff\n" + PRINTED.encode())
     outputs = keep_histograms(tmp_path, run, "cyclictest")
     kept = [read_histogram(tmp_path / f"{output}{ENDING}") for output in outputs]
-    assert [(each.histogram.n, each.period_ns) for each in kept] == [(10, 1e6), (10, 1e6)]
+    assert [(imported.histogram.n, imported.period_ns) for imported in kept] == [(10, 1e6), (10, 1e6)]
     assert kept[0].histogram.overflow_from_ns == 10_000_000
 
 

@@ -26,7 +26,7 @@ def test_a_state_of_more_lines_than_a_target_has_threads_is_refused():
 def test_counts_are_those_of_the_observation_that_they_follow():
     first, second = (f"at {at} 0.1 - - cpu 1 2 3 4 5 6 7 8 0 0\n" for at in (1.0, 3.0))
     observations = read(f"{first}counts\n{second}counts interrupts=7 24:eth0=5\nend\n")
-    assert [each.counts for each in observations] == ["", "interrupts=7 24:eth0=5"]
+    assert [observation.counts for observation in observations] == ["", "interrupts=7 24:eth0=5"]
     assert observations[1].ticks_by_kind == (1, 2, 3, 4, 5, 6, 7, 8)
 
 

@@ -162,5 +162,5 @@ def test_idle_cpus_that_slept_deeper_than_asked(tmp_path):
         record["in_effect"]["cpu_dma_latency_us"] = held
         path.write_text(json.dumps(record))
         ended = [Exit(status=0, expired=False)]
-        said = judge(tmp_path, run, [PROGRAM], ended, [path.stem], refused={}, background=[], ended_early={})
-        assert said.reason == reason
+        outcome = judge(tmp_path, run, [PROGRAM], ended, [path.stem], refused={}, background=[], ended_early={})
+        assert outcome.reason == reason

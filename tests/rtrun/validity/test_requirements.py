@@ -217,7 +217,7 @@ def test_what_is_kept_of_a_load_is_its_fewest_processes():
         sample(104, thread()),
     ]
     assert observed(run_of(condition="cpu80"), *looks[:2]).loads == {"stress": 3}
-    kept = observed(run_of(condition="cpu80"), *(each + "end\n" for each in looks))
+    kept = observed(run_of(condition="cpu80"), *(look + "end\n" for look in looks))
     assert (kept.loads, kept.load_cpus, kept.observations) == ({"stress": 0}, [0, 1], 3), "it was gone in the end"
 
 
