@@ -22,12 +22,12 @@ class Windows:
     def mean_ns(self, cpu: int | None, name: str) -> int:
         """The mean time per window that a thread or interrupt of this name had a CPU."""
         times = self.times_ns.get(-1 if cpu is None else cpu, ())
-        return sum(one.get(name, 0) for one in times) // self.count if self.count else 0
+        return sum(window.get(name, 0) for window in times) // self.count if self.count else 0
 
     def with_at_least(self, cpu: int | None, name: str, least_ns: int) -> int:
         """The number of windows in which a thread or interrupt of this name had a CPU for at least `least_ns`."""
         times = self.times_ns.get(-1 if cpu is None else cpu, ())
-        return sum(one.get(name, 0) >= max(1, least_ns) for one in times)
+        return sum(window.get(name, 0) >= max(1, least_ns) for window in times)
 
 
 def control_ns(length_ns: int) -> int:

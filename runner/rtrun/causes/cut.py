@@ -128,7 +128,7 @@ def _unexplained(begin_ns: int, end_ns: int, name: str = "") -> Part:
     return Part(begin_ns=begin_ns, end_ns=end_ns, cause=Cause(kind=Kind.UNEXPLAINED, name=name))
 
 
-def _of(pid: int, state: State, parts: Iterable[Part]) -> Iterator[Part]:
+def _marked(pid: int, state: State, parts: Iterable[Part]) -> Iterator[Part]:
     """The parts, marked with a thread and its state."""
     return (replace(part, pid=pid, state=state) for part in parts)
 
@@ -164,11 +164,11 @@ class _Walk:
             change = self.timeline.threads[pid][place]
             begin_ns = min(change.at_ns, at_ns)
             if change.state is State.RUNNING:
-                yield from _of(pid, change.state, self._ran(pid, change.cpu, begin_ns, at_ns))
+                yield from _marked(pid, change.state, self._ran(pid, change.cpu, begin_ns, at_ns))
             elif change.state is State.WAITING:
-                yield from _of(pid, change.state, self._waited(pid, change.cpu, begin_ns, at_ns))
+                yield from _marked(pid, change.state, self._waited(pid, change.cpu, begin_ns, at_ns))
             else:
-                yield from _of(pid, change.state, [_unexplained(begin_ns, at_ns)])
+                yield from _marked(pid, change.state, [_unexplained(begin_ns, at_ns)])
             at_ns, place = begin_ns, place - 1
             if change.waker is None or at_ns <= self.due_ns:
                 continue
@@ -187,7 +187,7 @@ class _Walk:
             if (awaited := self._awaited(pid, change.waker, at_ns)) is not None:
                 pid, place = awaited, self.timeline.place(awaited, at_ns)
                 continue
-            yield from _of(pid, State.ASLEEP, self._slept(pid, slept, change.waker, asleep_ns, at_ns))
+            yield from _marked(pid, State.ASLEEP, self._slept(pid, slept, change.waker, asleep_ns, at_ns))
             at_ns, place = asleep_ns, place - 1
 
     def _awaited(self, pid: int, waker: Waker, at_ns: int) -> int | None:
@@ -200,8 +200,8 @@ class _Walk:
         if not waker.stops and (expires_ns is None or expires_ns <= self.due_ns):
             return None
         earlier = reversed(self.timeline.threads[pid][: self.timeline.place(pid, at_ns)])
-        wakers = (each.waker for each in earlier if each.waker and each.waker.context is Context.THREAD)
-        for mate in dict.fromkeys(each.pid for each in wakers if each.pid in self.own - {pid}):
+        wakers = (change.waker for change in earlier if change.waker and change.waker.context is Context.THREAD)
+        for mate in dict.fromkeys(waker.pid for waker in wakers if waker.pid in self.own - {pid}):
             place = self.timeline.place(mate, at_ns)
             if place >= 0 and self.timeline.threads[mate][place].state is State.WAITING:
                 return mate
@@ -303,9 +303,9 @@ class _Walk:
         kind, by = (Kind.FROZEN if waker.held is Why.FROZEN else Kind.LET_GO_ON), (waker.pid, waker.name)
         if kind is Kind.LET_GO_ON and slept is not None:
             changes = self.timeline.threads[pid][: self.timeline.place(pid, slept.at_ns)]
-            awake_ns = next((one.at_ns for one in reversed(changes) if one.state is State.ASLEEP), 0)
-            of_program = (one for one in reversed(self.timeline.stops) if one.pid in self.own | {pid})
-            sent = next((one for one in of_program if awake_ns <= one.at_ns <= slept.at_ns), None)
+            awake_ns = next((change.at_ns for change in reversed(changes) if change.state is State.ASLEEP), 0)
+            of_program = (stop for stop in reversed(self.timeline.stops) if stop.pid in self.own | {pid})
+            sent = next((stop for stop in of_program if awake_ns <= stop.at_ns <= slept.at_ns), None)
             kind, by = (Kind.STOPPED, (sent.by_pid, "")) if sent else (kind, by)
         begin_ns = max(asleep_ns, min(waker.held_ns or asleep_ns, at_ns))
         yield Part(begin_ns=begin_ns, end_ns=at_ns, cause=self.waits.cause(kind, *by), cpu=waker.cpu)

@@ -258,10 +258,10 @@ def parse(lines: Iterable[str]) -> Iterator[Event | None]:
         if lost and int(cpu) in lost:
             yield Lost(at_ns, int(cpu), lost.pop(int(cpu)))
         if read is not None:
-            made = read((at_ns, int(cpu), int(pid), flags, event), arguments)
-            if isinstance(made, Switch):
-                running[cpu] = str(made.next_pid)
-            yield made
+            parsed = read((at_ns, int(cpu), int(pid), flags, event), arguments)
+            if isinstance(parsed, Switch):
+                running[cpu] = str(parsed.next_pid)
+            yield parsed
 
 
 _Head = tuple[int, int, int, str | None, str]

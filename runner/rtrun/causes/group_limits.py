@@ -48,7 +48,7 @@ def _with_group(part: Part, prio: int | None, rt_group: str, quota_group: str) -
 
 def _groups(record: RunRecord) -> list[ControlGroup]:
     """The control groups of all programs, each once."""
-    groups = {(one.version, one.path): one for program in record.programs for one in program.control_groups}
+    groups = {(group.version, group.path): group for program in record.programs for group in program.control_groups}
     return list(groups.values())
 
 
@@ -66,9 +66,9 @@ def _limited(record: RunRecord) -> Iterator[tuple[ControlGroup, str]]:
 def _rt_limited(record: RunRecord) -> str:
     """The control group with the lowest limit for real-time threads, and the limit; empty if there is none."""
     named = [
-        ((one.rt_runtime_us or 0) / (one.rt_period_us or 1), f"{one.path} ({limit})")
-        for one in _groups(record)
-        if (limit := one.rt_limit(_kernel_us(record)))
+        ((group.rt_runtime_us or 0) / (group.rt_period_us or 1), f"{group.path} ({limit})")
+        for group in _groups(record)
+        if (limit := group.rt_limit(_kernel_us(record)))
     ]
     return min(named)[1] if named else ""
 
@@ -76,9 +76,9 @@ def _rt_limited(record: RunRecord) -> str:
 def _throttled(record: RunRecord) -> str:
     """The control group that was throttled for longest during the run, and its limit; empty if there is none."""
     named = [
-        (one.throttled.throttled_ns, f"{one.path} ({one.quota})")
-        for one in _groups(record)
-        if one.quota and one.throttled.throttled
+        (group.throttled.throttled_ns, f"{group.path} ({group.quota})")
+        for group in _groups(record)
+        if group.quota and group.throttled.throttled
     ]
     return max(named)[1] if named else ""
 

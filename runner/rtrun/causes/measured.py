@@ -22,8 +22,8 @@ class Measured:
     times_ns: Int64s
 
 
-def read_measured(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Measured]:
-    """Yield the outputs of a run that have samples with values; `of` is the series, None: that of the run's traces.
+def read_measured(folder: Path, record: RunRecord, measure: Measure | None = None) -> Iterator[Measured]:
+    """Yield the outputs of a run that have samples with values; `measure` is the series, None: that of its traces.
 
     Raises UsageError as `read_samples` does, and if the suite does not measure that series.
     """
@@ -36,7 +36,7 @@ def read_measured(folder: Path, record: RunRecord, of: Measure | None = None) ->
         for ending in (".npy", ".json"):
             check_file(folder, record, output + ending)
         samples = read_samples(folder / f"{output}.npy")
-        values = samples.judged(of or traced_series(record.suite, record.parameters))
+        values = samples.judged(measure or traced_series(record.suite, record.parameters))
         if values.values_ns.size:
             times_ns = kind.times(samples.columns, values)
             yield Measured(output=output, values_ns=values.values_ns, index=values.index, times_ns=times_ns)

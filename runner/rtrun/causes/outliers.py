@@ -105,20 +105,23 @@ def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
             check_file(folder, record, name)
         threads[output] = _threads(folder / f"{output}.json")
         outliers += (_read_head(folder, record.run, output, name) for name in names)
-    outliers.sort(key=lambda one: one.at_ns)
+    outliers.sort(key=lambda outlier: outlier.at_ns)
     kind = kind_of(record.suite)
     is_message = kind is not None and kind.has_steps
     # Outliers, also of several subscribers, may share a trace: it is read once.
-    for name in dict.fromkeys(one.trace for one in outliers):
+    for name in dict.fromkeys(outlier.trace for outlier in outliers):
         if name not in record.files:
             raise UsageError(f"{folder}: a trace is in {name!r}, which is no file of the run")
-        of_trace = [one for one in outliers if one.trace == name]
-        from_ns = min(one.due_ns - max(control_ns(one.value_ns), BEFORE_NS) for one in of_trace)
-        until_ns = max(one.at_ns for one in of_trace) + AFTER_NS
+        of_trace = [outlier for outlier in outliers if outlier.trace == name]
+        from_ns = min(outlier.due_ns - max(control_ns(outlier.value_ns), BEFORE_NS) for outlier in of_trace)
+        until_ns = max(outlier.at_ns for outlier in of_trace) + AFTER_NS
         with _without_garbage_collection():
             trace = read_trace(folder / name, from_ns=max(0, from_ns), until_ns=until_ns)
             order = reconstruct(trace.events, started=trace.started)
-            every = [_explain(one, order, trace, outliers, threads[one.output], is_message, record) for one in of_trace]
+            every = [
+                _explain(outlier, order, trace, outliers, threads[outlier.output], is_message, record)
+                for outlier in of_trace
+            ]
         for explained in every:
             yield explained if explained.parts else replace(explained, note=_why_none(folder / name, explained.outlier))
 
@@ -166,7 +169,7 @@ def _explain(
         used_up=uses_up_quota(record),
     )
     parts = with_groups(parts, record, order.prios)
-    late = [(one.due_ns, one.at_ns) for one in all_outliers]
+    late = [(other.due_ns, other.at_ns) for other in all_outliers]
     control = windows_before(order, trace.events, begin_ns=outlier.due_ns, length_ns=outlier.value_ns, late=late)
     begin_ns = outlier.due_ns - AROUND * outlier.value_ns
     around = {cpu: tuple(order.spans(cpu, begin_ns, outlier.at_ns)) for cpu in order.cpus}
@@ -194,9 +197,9 @@ def _earlier_callbacks(outlier: Outlier, order: Timeline, pid: int, record: RunR
     # The outlier's time is in whole microseconds.
     until_ns = outlier.at_ns + 1000
     every = order.callbacks.get(pid, ())
-    within = [one for one in every if outlier.due_ns < one.at_ns <= until_ns]
+    within = [callback for callback in every if outlier.due_ns < callback.at_ns <= until_ns]
     # The last callback before the outlier counts, too, if its end was not seen.
-    before = [one for one in every if one.took_ns is None and one.at_ns <= outlier.due_ns][-1:]
+    before = [callback for callback in every if callback.took_ns is None and callback.at_ns <= outlier.due_ns][-1:]
     return (*before, *within)
 
 
@@ -216,7 +219,7 @@ def _idle_elsewhere(order: Timeline, parts: Sequence[Part], pid: int) -> Mapping
 
 def _what_is_missing(outlier: Outlier, order: Timeline, trace: Trace) -> str:
     """How many events the kernel lost during an outlier, and how many lines could not be read; empty if none."""
-    lost = [one.missing for one in order.lost if outlier.due_ns <= one.at_ns <= outlier.at_ns]
+    lost = [event.missing for event in order.lost if outlier.due_ns <= event.at_ns <= outlier.at_ns]
     known = sum(missing or 0 for missing in lost)
     notes = [f"{known} events were lost within" if known else "events were lost within"] if lost else []
     if trace.not_read:
@@ -261,7 +264,7 @@ def _measured_thread(order: Timeline, at_ns: int, threads: Mapping[int, str]) ->
 def _threads(path: Path) -> dict[int, str]:
     """The threads of the program that measure, or that work for a measuring thread."""
     threads = read_json(path, Record).in_effect.threads
-    return {one.tid: one.name for one in threads if one.name not in NON_MEASURING_THREADS}
+    return {thread.tid: thread.name for thread in threads if thread.name not in NON_MEASURING_THREADS}
 
 
 def _read_head(folder: Path, run: str, output: str, name: str) -> Outlier:

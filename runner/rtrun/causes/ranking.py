@@ -59,7 +59,7 @@ class Ranking:
     @property
     def named(self) -> Culprit | None:
         """The culprit that is the main one in at least half of the outliers, unless it may be so by chance."""
-        first = next((one for one in self.culprits if one.kind not in NAMELESS), None)
+        first = next((culprit for culprit in self.culprits if culprit.kind not in NAMELESS), None)
         if first is None or 2 * first.main < max(1, self.outliers):
             return None
         return None if self.is_by_chance(first) else first
@@ -88,26 +88,28 @@ class Ranking:
 
 def rank(explained: Iterable[Explained]) -> Ranking:
     """Rank the culprits by the number of outliers in which they are the main part, then by time."""
-    cut = [one for one in explained if one.parts]
+    cut = [case for case in explained if case.parts]
     alike = _alike(cut)
     occurrences: dict[_Identity, list[_Occurrence]] = defaultdict(list)
     main_by_kind: Counter[Kind] = Counter()
-    for one in cut:
+    for case in cut:
         parts: dict[_Identity, list[Part]] = defaultdict(list)
-        for part in one.parts:
+        for part in case.parts:
             identity = _identity(part.cause)
             parts[alike.get(identity, identity)].append(part)
         extra_ns: Counter[Kind] = Counter()
         for culprit, of_culprit in parts.items():
-            occurrence = _occurrence(one, of_culprit)
+            occurrence = _occurrence(case, of_culprit)
             occurrences[culprit].append(occurrence)
             extra_ns[culprit[0]] += occurrence.length_ns - occurrence.usual_ns
-        main_by_kind.update(kind for kind, length_ns in extra_ns.items() if 2 * length_ns > one.outlier.value_ns)
+        main_by_kind.update(kind for kind, length_ns in extra_ns.items() if 2 * length_ns > case.outlier.value_ns)
     culprits = [_culprit(kind, occurred) for (kind, _), occurred in occurrences.items()]
     return Ranking(
-        culprits=tuple(sorted(culprits, key=lambda one: (-one.main, -one.extra_ns, one.kind, one.name))),
+        culprits=tuple(
+            sorted(culprits, key=lambda culprit: (-culprit.main, -culprit.extra_ns, culprit.kind, culprit.name))
+        ),
         outliers=len(cut),
-        late_ns=sum(one.outlier.value_ns for one in cut),
+        late_ns=sum(case.outlier.value_ns for case in cut),
         main_by_kind=main_by_kind,
     )
 
@@ -130,8 +132,8 @@ def _alike(cut: Iterable[Explained]) -> Mapping[_Identity, _Identity]:
     started anew for each job. Other names with numbers belong to different things, such as the threads of two devices.
     """
     seen: dict[_Identity, list[tuple[int, str, int]]] = defaultdict(list)
-    for number, one in enumerate(cut):
-        for kind, name, pid in {(part.cause.kind, part.cause.name, part.cause.pid) for part in one.parts}:
+    for number, case in enumerate(cut):
+        for kind, name, pid in {(part.cause.kind, part.cause.name, part.cause.pid) for part in case.parts}:
             if pid is not None and kind is not Kind.CALLBACK and re.search(r"\d", name):
                 seen[kind, re.sub(r"\d+", "#", name)].append((number, name, pid))
     return {
@@ -155,8 +157,8 @@ class _Occurrence(NamedTuple):
     as_long: int
 
 
-def _occurrence(one: Explained, parts: Sequence[Part]) -> _Occurrence:
-    control, value_ns = one.control, one.outlier.value_ns
+def _occurrence(explained: Explained, parts: Sequence[Part]) -> _Occurrence:
+    control, value_ns = explained.control, explained.outlier.value_ns
     longest = max(parts, key=lambda part: part.length_ns)
     cause, length_ns = longest.cause, sum(part.length_ns for part in parts)
     usual_ns = windows = as_long = 0
@@ -171,9 +173,9 @@ def _occurrence(one: Explained, parts: Sequence[Part]) -> _Occurrence:
 
 
 def _culprit(kind: Kind, occurred: Sequence[_Occurrence]) -> Culprit:
-    worst = max(occurred, key=lambda one: one.length_ns)
-    total_ns = sum(one.length_ns for one in occurred)
-    threads = frozenset[tuple[str, int]]().union(*(one.threads for one in occurred))
+    worst = max(occurred, key=lambda occurrence: occurrence.length_ns)
+    total_ns = sum(occurrence.length_ns for occurrence in occurred)
+    threads = frozenset[tuple[str, int]]().union(*(occurrence.threads for occurrence in occurred))
     of_name = sum(name == worst.cause.name for name, _ in threads)
     return Culprit(
         kind=kind,
@@ -184,10 +186,10 @@ def _culprit(kind: Kind, occurred: Sequence[_Occurrence]) -> Culprit:
         threads=of_name,
         alike=0 if kind is Kind.THROTTLED else len(threads) - of_name,
         count=len(occurred),
-        main=sum(one.is_main for one in occurred),
+        main=sum(occurrence.is_main for occurrence in occurred),
         total_ns=total_ns,
         worst_ns=worst.length_ns,
-        extra_ns=total_ns - sum(one.usual_ns for one in occurred),
-        windows=sum(one.windows for one in occurred),
-        as_long=sum(one.as_long for one in occurred),
+        extra_ns=total_ns - sum(occurrence.usual_ns for occurrence in occurred),
+        windows=sum(occurrence.windows for occurrence in occurred),
+        as_long=sum(occurrence.as_long for occurrence in occurred),
     )

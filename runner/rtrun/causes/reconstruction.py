@@ -406,7 +406,7 @@ class _Builder:
         begins_ns = [cpu.spans[0].begin_ns if cpu.spans else cpu.since_ns for cpu in self.cpus.values()]
         for pid in self.not_woken:
             ran = self.threads[pid][0]
-            begin_ns = max(*begins_ns, *(one.at_ns for one in self.lost if one.at_ns <= ran.at_ns), 0)
+            begin_ns = max(*begins_ns, *(event.at_ns for event in self.lost if event.at_ns <= ran.at_ns), 0)
             if begin_ns < ran.at_ns:
                 self.threads[pid].insert(0, StateChange(begin_ns, State.WAITING, ran.cpu))
 

@@ -27,9 +27,9 @@ class Recurring:
     recurrence: Recurrence
 
 
-def recurring(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Recurring]:
-    """Yield the outputs of a run whose late values have a period; `of` and the errors are those of `read_measured`."""
-    for measured in read_measured(folder, record, of):
+def recurring(folder: Path, record: RunRecord, measure: Measure | None = None) -> Iterator[Recurring]:
+    """Yield the outputs of a run whose late values have a period; `measure` and errors are those of `read_measured`."""
+    for measured in read_measured(folder, record, measure):
         if measured.values_ns.size < VALUES_AT_LEAST:
             continue
         highest = _highest(measured.values_ns, max(counts_tried(measured.values_ns.size)))

@@ -57,5 +57,5 @@ def read_remedies() -> tuple[Remedy, ...]:
 
 def remedy(kind: Kind, name: str) -> Remedy | None:
     """The first remedy that fits a culprit; None if none fits."""
-    fits = (one for one in read_remedies() if not one.kinds or kind.name in one.kinds)
-    return next((one for one in fits if re.search(one.name, name)), None)
+    fits = (candidate for candidate in read_remedies() if not candidate.kinds or kind.name in candidate.kinds)
+    return next((candidate for candidate in fits if re.search(candidate.name, name)), None)

@@ -39,8 +39,8 @@ class Unusual:
     tried: int
 
 
-def find_unusual(folder: Path, record: RunRecord, of: Measure | None = None) -> Iterator[Unusual]:
-    """Yield what was unusual around the highest values of a run; `of` is as of `read_measured`.
+def find_unusual(folder: Path, record: RunRecord, measure: Measure | None = None) -> Iterator[Unusual]:
+    """Yield what was unusual around the highest values of a run; `measure` is that of `read_measured`.
 
     Raises UsageError for files that are not what they should be.
     """
@@ -49,21 +49,21 @@ def find_unusual(folder: Path, record: RunRecord, of: Measure | None = None) -> 
     check_file(folder, record, SAMPLER_OUTPUT)
     observations = observations_of(folder)
     bounds_s = _bounds_s(folder, record)
-    for measured in read_measured(folder, record, of):
+    for measured in read_measured(folder, record, measure):
         within, highest = _intervals(observations, measured, bounds_s)
         if len(within) <= LEAST_INTERVALS:
             continue
         known = {key: row for key, row in _quantities(within).items() if np.ptp(row) > 0}
-        for one in find_coincidences(np.array(list(known.values())), highest):
-            quantity, unit = list(known)[one.row]
+        for coincidence in find_coincidences(np.array(list(known.values())), highest):
+            quantity, unit = list(known)[coincidence.row]
             yield Unusual(
                 run=record.run,
                 output=measured.output,
                 quantity=quantity,
                 unit=unit,
-                late=one.late,
-                otherwise=one.otherwise,
-                p_value=one.p_value,
+                late=coincidence.late,
+                otherwise=coincidence.otherwise,
+                p_value=coincidence.p_value,
                 tried=len(known),
             )
 
@@ -89,7 +89,7 @@ def _intervals(
     offset_s = 0.0
     if bounds_s is not None:
         offset_s = min(max(0.0, last_s - bounds_s[1]), max(first_s - bounds_s[0], last_s - bounds_s[1]))
-    times_s = [each.uptime_s + offset_s for each in observations]
+    times_s = [sample.uptime_s + offset_s for sample in observations]
     places = [place for place, at_s in enumerate(times_s) if first_s <= at_s <= last_s]
     within = [observations[place] for place in places]
     edges_ns = (np.array([times_s[place] for place in places]) * 1e9).astype(np.int64)
@@ -108,22 +108,22 @@ def _highest(measured: Measured, edges_ns: Int64s) -> Floats:
 
 def _quantities(within: Sequence[Observation]) -> Mapping[tuple[str, str], Floats]:
     """Every quantity of the intervals between observations, by name and unit: counts per second, means of gauges."""
-    lengths_s = np.diff([each.uptime_s for each in within])
-    made: dict[tuple[str, str], Floats] = {}
-    ticks = np.diff(np.array([each.ticks_by_kind for each in within], dtype=np.float64), axis=0)
+    lengths_s = np.diff([sample.uptime_s for sample in within])
+    quantities: dict[tuple[str, str], Floats] = {}
+    ticks = np.diff(np.array([sample.ticks_by_kind for sample in within], dtype=np.float64), axis=0)
     all_ticks = np.maximum(ticks.sum(axis=1), 1)
     for place, name in _TICKS.items():
-        made[name, "% of all CPUs"] = 100 * ticks[:, place] / all_ticks
+        quantities[name, "% of all CPUs"] = 100 * ticks[:, place] / all_ticks
     gauges = (
-        ("highest temperature", "C", [max(each.temperature_mc, default=0) / 1000 for each in within]),
-        ("lowest CPU frequency", "MHz", [min(each.frequency_khz, default=0) / 1000 for each in within]),
+        ("highest temperature", "C", [max(sample.temperature_mc, default=0) / 1000 for sample in within]),
+        ("lowest CPU frequency", "MHz", [min(sample.frequency_khz, default=0) / 1000 for sample in within]),
     )
     for name, unit, values in gauges:
-        made[name, unit] = (np.array(values[:-1]) + np.array(values[1:])) / 2
-    for number, each in enumerate(within[1:]):
-        for name, count in re.findall(r"([^ =]+)=(\d+)", each.counts):
-            if (name, "a second") not in made and len(made) < COUNTS_MAX:
-                made[name, "a second"] = np.zeros(lengths_s.size)
-            if (name, "a second") in made:
-                made[name, "a second"][number] = int(count) / lengths_s[number]
-    return made
+        quantities[name, unit] = (np.array(values[:-1]) + np.array(values[1:])) / 2
+    for number, sample in enumerate(within[1:]):
+        for name, count in re.findall(r"([^ =]+)=(\d+)", sample.counts):
+            if (name, "a second") not in quantities and len(quantities) < COUNTS_MAX:
+                quantities[name, "a second"] = np.zeros(lengths_s.size)
+            if (name, "a second") in quantities:
+                quantities[name, "a second"][number] = int(count) / lengths_s[number]
+    return quantities

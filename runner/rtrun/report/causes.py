@@ -68,7 +68,7 @@ def periods(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]
 
     `of` is the series of the values; None: the series of each run's traces.
     """
-    found, refused = _search(source, partial(recurring, of=of), without=_FAILED)
+    found, refused = _search(source, partial(recurring, measure=of), without=_FAILED)
     rows = [
         (
             one.run,
@@ -122,7 +122,7 @@ def surroundings(source: Source, of: Measure | None) -> tuple[Table, tuple[str, 
 
     `of` is the same as for `periods`.
     """
-    found, refused = _search(source, partial(find_unusual, of=of), without=_FAILED)
+    found, refused = _search(source, partial(find_unusual, measure=of), without=_FAILED)
     named = Counter(one.quantity for one in found).most_common(1)
     return Table(
         id="surroundings",

@@ -15,33 +15,33 @@ SECOND_US = 10**6
 
 
 def explain(folder, text, tids=(1,)):
-    (one,) = explain_run(write_traced_run(folder, {3: text}, tids), read_record(folder / "001-run"))
-    assert not one.parts or sum(part.length_ns for part in one.parts) == one.outlier.value_ns
-    return one
+    (explained,) = explain_run(write_traced_run(folder, {3: text}, tids), read_record(folder / "001-run"))
+    assert not explained.parts or sum(part.length_ns for part in explained.parts) == explained.outlier.value_ns
+    return explained
 
 
 @pytest.mark.parametrize("part", [0.01, 0.3, 0.5, 0.7, 0.9, 0.999])
 def test_cut_off_anywhere(part, tmp_path):
     """The target's disk was full, or the copy was interrupted."""
     text = specimen(1558)
-    one = explain(tmp_path, text[: int(part * len(text))], (23166, 23175))
-    assert one.parts or one.note == NOT_RECORDED or one.note == NO_TIMES
+    explained = explain(tmp_path, text[: int(part * len(text))], (23166, 23175))
+    assert explained.parts or explained.note == NOT_RECORDED or explained.note == NO_TIMES
 
 
 def test_torn_lines_of_two_writers_are_left_out(tmp_path):
     lines = specimen(1558).splitlines(keepends=True)
     for place in range(400, len(lines) - 1, 7):
         lines[place] = lines[place][:40] + lines[place + 1]
-    one = explain(tmp_path, "".join(lines), (23166, 23175))
-    assert one.outlier.value_ns == 1_721_878
+    explained = explain(tmp_path, "".join(lines), (23166, 23175))
+    assert explained.outlier.value_ns == 1_721_878
 
 
 def test_a_cpu_whose_buffer_begins_after_the_moment_is_unexplained_until_then(tmp_path):
     """The buffers of the CPUs wrap one by one: the older part of this one was overwritten."""
     text = HEAD + line(4000, "x: y", cpu=1) + "##### CPU 0 buffer started ####\n"
     text += switch(4800, HOG, ME) + line(5001, "local_timer_entry: vector=1")
-    one = explain(tmp_path, text)
-    assert [(part.cause.kind, part.length_ns) for part in one.parts] == [
+    explained = explain(tmp_path, text)
+    assert [(part.cause.kind, part.length_ns) for part in explained.parts] == [
         (Kind.UNEXPLAINED, 300_000),
         (Kind.PROGRAM, 200_000),
     ]
@@ -53,18 +53,18 @@ def test_a_buffer_that_was_overwritten_since_is_said(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("missing", "said"),
+    ("missing", "note"),
     [
         ("CPU:0 [LOST 7 EVENTS]", "; 7 events were lost within\n"),
         ("CPU:0 [LOST EVENTS]", "; events were lost within\n"),
         ("no line of a trace", "; 1 line of its trace could not be read\n"),
     ],
 )
-def test_what_is_missing_is_said_with_the_outlier(missing, said, tmp_path, capsys):
+def test_what_is_missing_is_said_with_the_outlier(missing, note, tmp_path, capsys):
     text = HEAD + switch(4000, HOG, ME) + f"{missing}\n" + switch(4900, HOG, ME)
     write_traced_run(tmp_path, {3: text + line(5001, "local_timer_entry: vector=1")}, [1])
     assert main(["why", str(tmp_path)]) == 0
-    assert said in capsys.readouterr().out
+    assert note in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("begin_us", [7 * 3600 * SECOND_US, 300 * 3600 * SECOND_US])
@@ -94,7 +94,7 @@ def test_an_empty_trace_is_said_and_what_to_raise_where_most_are(tmp_path, capsy
     """It is no trace of another clock."""
     texts = dict.fromkeys((3, 4), HEAD + "# tracer: nop\n#\n\n")
     folder = write_traced_run(tmp_path, texts, [1])
-    assert [one.note for one in explain_run(folder, read_record(folder))] == [EMPTY, EMPTY]
+    assert [explained.note for explained in explain_run(folder, read_record(folder))] == [EMPTY, EMPTY]
     assert main(["why", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     assert "2 outliers without parts: the trace is empty" in out and "raise the limit of the campaign" in out
@@ -110,8 +110,8 @@ def test_an_empty_trace_is_said_and_what_to_raise_where_most_are(tmp_path, capsy
 )
 def test_events_that_are_not_known_explain_nothing(event, tmp_path):
     text = HEAD + line(4000, event) + line(4900, event) + line(5001, event)
-    one = explain(tmp_path, text)
-    assert not one.parts or {part.cause.kind for part in one.parts} == {Kind.UNEXPLAINED}
+    explained = explain(tmp_path, text)
+    assert not explained.parts or {part.cause.kind for part in explained.parts} == {Kind.UNEXPLAINED}
 
 
 def test_a_file_of_trace_cmd_in_a_run_or_by_itself_is_refused_with_a_hint(tmp_path, capsys):

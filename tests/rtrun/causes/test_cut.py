@@ -47,9 +47,9 @@ def parts_of(text, *, due=1000, at, pid=1, own=(1,), used_up=False):
     order = reconstruct(events(text))
     callbacks = order.callbacks.get(pid, ())
     ends = {"due_ns": due * 1000, "at_ns": at * 1000}
-    made = cut(order, pid=pid, own=frozenset(own), callbacks=callbacks, used_up=used_up, **ends)
-    assert sum(part.length_ns for part in made) == (at - due) * 1000
-    alike = groupby(made, key=lambda part: (part.cause.kind, part.cause.name, part.cpu))
+    parts = cut(order, pid=pid, own=frozenset(own), callbacks=callbacks, used_up=used_up, **ends)
+    assert sum(part.length_ns for part in parts) == (at - due) * 1000
+    alike = groupby(parts, key=lambda part: (part.cause.kind, part.cause.name, part.cpu))
     lengths = ((kind, name, sum(part.length_ns for part in parts) // 1000) for (kind, name, _), parts in alike)
     return "; ".join(" ".join(filter(None, (kind.name, name, str(length)))) for kind, name, length in lengths)
 
@@ -106,7 +106,7 @@ def mate_without_interrupts(timer_started_us=900):
     text += line(timer_started_us, tick) + line(1350, "local_timer_entry: vector=236")
     text += line(1350, "hrtimer_expire_entry: hrtimer=b function=tick_sched_timer now=850000", flags="d.h..")
     text += line(1352, "local_timer_exit: vector=236") + switch(1400, OTHER, ME) + end(1410)
-    return "".join(sorted(text.splitlines(keepends=True), key=lambda one: one[35:47]))
+    return "".join(sorted(text.splitlines(keepends=True), key=lambda entry: entry[35:47]))
 
 
 def of_equal(me, other):
@@ -485,7 +485,7 @@ def test_a_program_that_is_stopped_or_frozen(name):
     texts = ["".join(lines)]
     if name != "frozen-v1.txt":
         begin = next(place for place, text in enumerate(lines) if "=lab_stopper" in text and place > len(lines) - 30)
-        texts.append("".join(one for one in lines[begin:] if "next_comm=lab_stopper" in one or "lab_" in one))
+        texts.append("".join(text for text in lines[begin:] if "next_comm=lab_stopper" in text or "lab_" in text))
     for text in texts:
         assert parts_of(text, due=due, at=at, pid=pid, own=(pid,)).startswith(f"{kind.name} lab_stopper ")
 
@@ -524,19 +524,19 @@ LINES = st.one_of(
 @given(st.lists(st.tuples(st.integers(0, 3), LINES), max_size=60), st.integers(0, 100), st.integers(1, 100))
 def test_parts_add_up_whatever_the_trace_says(steps, due, length):
     us, text = 0, ""
-    for step, made in steps:
+    for step, event in steps:
         us += step
-        text += made(us)
+        text += event(us)
     order = reconstruct(events(text))
     callbacks = order.callbacks.get(9, ())
     ends = {"due_ns": due * 1000, "at_ns": (due + length) * 1000}
-    made = cut(order, pid=1, own=frozenset({1, 5}), callbacks=callbacks, **ends)
-    assert [part.begin_ns for part in made[1:]] == [part.end_ns for part in made[:-1]]
-    assert (made[0].begin_ns, made[-1].end_ns) == (due * 1000, (due + length) * 1000)
-    assert all(part.length_ns > 0 for part in made)
+    parts = cut(order, pid=1, own=frozenset({1, 5}), callbacks=callbacks, **ends)
+    assert [part.begin_ns for part in parts[1:]] == [part.end_ns for part in parts[:-1]]
+    assert (parts[0].begin_ns, parts[-1].end_ns) == (due * 1000, (due + length) * 1000)
+    assert all(part.length_ns > 0 for part in parts)
 
 
 @pytest.mark.parametrize("kind", list(Kind))
 def test_every_kind_has_words_of_its_own(kind):
     assert kind.value
-    assert len({one.value for one in Kind}) == len(Kind)
+    assert len({kind.value for kind in Kind}) == len(Kind)

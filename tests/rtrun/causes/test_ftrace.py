@@ -207,12 +207,12 @@ def test_the_memory_does_not_grow_with_the_file(from_ns, tmp_path, monkeypatch):
 def test_long_arguments_take_no_memory(event):
     lines = (line(us, f"{event}: {us}" + 20_000 * "x") for us in range(1000))
     tracemalloc.start()
-    assert [one for one in parse(lines) if one is not None] == [Current(0, 0, 9, "x")]
+    assert [parsed for parsed in parse(lines) if parsed is not None] == [Current(0, 0, 9, "x")]
     assert tracemalloc.get_traced_memory()[1] < 5e6
     tracemalloc.stop()
 
 
 def test_a_real_trace_is_read_whole(tmp_path):
-    made = list(parse((head(1, 1, 1) + specimen(1558)).split("\n")))
-    assert None not in made
-    assert len(made) > 500
+    parsed = list(parse((head(1, 1, 1) + specimen(1558)).split("\n")))
+    assert None not in parsed
+    assert len(parsed) > 500

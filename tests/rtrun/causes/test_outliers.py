@@ -19,23 +19,23 @@ def explained(folder):
 
 
 def test_a_planted_thread_of_a_real_trace_is_named(tmp_path):
-    made = explained(write_traced_run(tmp_path, {1558: specimen(1558)}, [23166, 23175]))
-    (one,) = made
-    assert (one.outlier.index, one.outlier.value_ns, one.note) == (1558, 1_721_878, "")
-    assert sum(part.length_ns for part in one.parts) == 1_721_878
-    assert (one.parts[0].cause.kind, one.parts[0].cause.name) == (Kind.HIGHER, "planted_hog")
-    assert one.parts[0].cause.prio == 1  # real-time priority 98
-    named = rank(made).named
+    cases = explained(write_traced_run(tmp_path, {1558: specimen(1558)}, [23166, 23175]))
+    (case,) = cases
+    assert (case.outlier.index, case.outlier.value_ns, case.note) == (1558, 1_721_878, "")
+    assert sum(part.length_ns for part in case.parts) == 1_721_878
+    assert (case.parts[0].cause.kind, case.parts[0].cause.name) == (Kind.HIGHER, "planted_hog")
+    assert case.parts[0].cause.prio == 1  # real-time priority 98
+    named = rank(cases).named
     assert named is not None
     assert (named.name, named.main, named.as_long) == ("planted_hog", 1, 0)
-    assert named.windows == one.control.count > 2
+    assert named.windows == case.control.count > 2
 
 
 def test_outliers_that_share_a_trace(tmp_path):
     """The second was late after the copy had begun: the trace of the first holds nothing of it."""
     shared = head(1500, 1600, 28900_000_000) + f"# in {OUTPUT}-trace-1558.txt\n"
     folder = write_traced_run(tmp_path, {1558: specimen(1558), 1600: shared}, [23166, 23175])
-    assert [(one.outlier.index, bool(one.parts), one.note) for one in explained(folder)] == [
+    assert [(case.outlier.index, bool(case.parts), case.note) for case in explained(folder)] == [
         (1558, True, ""),
         (1600, False, NOT_RECORDED),
     ]
@@ -46,12 +46,12 @@ def test_of_two_threads_that_ran_then_the_main_one_measured(tmp_path):
     mate, idle = ("mate", 5, 120), ("swapper/1", 0, 120)
     text = head(500, 3, 5000) + switch(3000, idle, mate, cpu=1) + switch(4800, HOG, ME)
     text += switch(5010, ME, HOG) + switch(5020, mate, idle, cpu=1)
-    (one,) = explained(write_traced_run(tmp_path, {3: text}, [1, 5]))
-    assert [part.cause.name for part in one.parts if part.cause.kind is Kind.PROGRAM] == ["cyclic_timer_te"]
+    (case,) = explained(write_traced_run(tmp_path, {3: text}, [1, 5]))
+    assert [part.cause.name for part in case.parts if part.cause.kind is Kind.PROGRAM] == ["cyclic_timer_te"]
     # Where it is known which thread had the value, that one, whatever the main one did.
     text = text.replace("\n", " by thread 5\n", 1)
-    (one,) = explained(write_traced_run(tmp_path / "known", {3: text}, [1, 5]))
-    assert [part.cause.name for part in one.parts if part.cause.kind is Kind.PROGRAM] == ["mate"]
+    (case,) = explained(write_traced_run(tmp_path / "known", {3: text}, [1, 5]))
+    assert [part.cause.name for part in case.parts if part.cause.kind is Kind.PROGRAM] == ["mate"]
 
 
 def test_a_thread_of_a_container_is_known_by_its_name(tmp_path):
@@ -62,16 +62,16 @@ def test_a_thread_of_a_container_is_known_by_its_name(tmp_path):
 
 def test_a_late_value_while_recording_was_paused(tmp_path):
     text = head(500, 3, 5000) + switch(1000, HOG, ME) + switch(9000, ME, HOG)
-    (one,) = explained(write_traced_run(tmp_path, {3: text}, [1]))
-    assert (one.parts, one.note) == ((), NOT_RECORDED)
+    (case,) = explained(write_traced_run(tmp_path, {3: text}, [1]))
+    assert (case.parts, case.note) == ((), NOT_RECORDED)
 
 
 def test_lost_events_are_said(tmp_path):
     text = head(500, 3, 5000) + switch(1000, HOG, ME) + line(4500, "x: y") + "CPU:0 [LOST 5 EVENTS]\n"
     text += switch(4990, HOG, ME) + line(5001, "local_timer_entry: vector=1")
-    (one,) = explained(write_traced_run(tmp_path, {3: text}, [1]))
-    assert one.note == "5 events were lost within"
-    assert sum(part.length_ns for part in one.parts) == 500_000
+    (case,) = explained(write_traced_run(tmp_path, {3: text}, [1]))
+    assert case.note == "5 events were lost within"
+    assert sum(part.length_ns for part in case.parts) == 500_000
 
 
 # What the group of rt-group.txt had, and one with a quota that was used up in 8 of 10 periods of the run.
@@ -84,15 +84,15 @@ TRACE_OF_GROUP = head(10_995, 3, 6640_912_995) + (SPECIMENS / "rt-group.txt").re
 
 
 def answered(folder):
-    made = explained(folder)
-    ranking = rank(made)
-    return answer(ranking), " ".join(remedies(ranking)), " ".join(table(ranking, made).notes)
+    cases = explained(folder)
+    ranking = rank(cases)
+    return answer(ranking), " ".join(remedies(ranking)), " ".join(table(ranking, cases).notes)
 
 
 def test_a_control_group_is_named_with_its_limit_rather_than_the_kernels(tmp_path):
     """It was throttled by the group: the kernel's own limit, a safety net, has nothing to do with it."""
-    made = write_traced_run(tmp_path / "group", {3: TRACE_OF_GROUP}, [16322], control_groups=[RT_GROUP])
-    first, advice, notes = answered(made)
+    folder = write_traced_run(tmp_path / "group", {3: TRACE_OF_GROUP}, [16322], control_groups=[RT_GROUP])
+    first, advice, notes = answered(folder)
     assert first.startswith(
         "throttled by the limit of control group /lab (cpu.rt_runtime_us 100000 of 1000000 us): the main cause of 1 "
     )

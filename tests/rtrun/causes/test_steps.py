@@ -16,14 +16,14 @@ SUBSCRIBER = [28179, 28197, 28198, 28199, 28200]
 
 def test_a_message_of_real_programs_is_followed_from_publisher_to_callback(tmp_path):
     folder = write_traced_run(tmp_path, {0: specimen(0)}, SUBSCRIBER, output=OUTPUT)
-    (one,) = explain_run(folder, read_record(folder))
-    assert list(one.steps) == [step for step in Step if step is not Step.UNKNOWN]
-    assert sum(one.steps.values()) == one.outlier.value_ns == 335_245
+    (explained,) = explain_run(folder, read_record(folder))
+    assert list(explained.steps) == [step for step in Step if step is not Step.UNKNOWN]
+    assert sum(explained.steps.values()) == explained.outlier.value_ns == 335_245
     # As read by hand: the publisher wakes its poll thread at .544483, that writes until .544588, the poll thread of the
     # subscriber wakes the callback at .544714 - 29 us later it had its message.
-    ids = list(dict.fromkeys(part.pid for part in one.parts if part.pid is not None))
+    ids = list(dict.fromkeys(part.pid for part in explained.parts if part.pid is not None))
     assert ids == [28218, 28224, 28197, 28179]
-    starts = {pid: min(part.begin_ns for part in one.parts if part.pid == pid) for pid in ids}
+    starts = {pid: min(part.begin_ns for part in explained.parts if part.pid == pid) for pid in ids}
     assert list(starts.values()) == sorted(starts.values())
 
 
@@ -39,9 +39,9 @@ def test_why_prints_the_chain_and_the_table(tmp_path, capsys):
 def test_a_container_whose_ids_are_others_has_no_steps(tmp_path):
     """Publisher and subscriber have the same names there."""
     folder = write_traced_run(tmp_path, {0: specimen(0)}, [7], output=OUTPUT)
-    (one,) = explain_run(folder, read_record(folder))
-    assert one.steps == {}
-    assert sum(part.length_ns for part in one.parts) == 335_245
+    (explained,) = explain_run(folder, read_record(folder))
+    assert explained.steps == {}
+    assert sum(part.length_ns for part in explained.parts) == 335_245
 
 
 def part(begin_ns, end_ns, pid=None, state=None, kind=Kind.OTHER_THREAD):
@@ -49,7 +49,7 @@ def part(begin_ns, end_ns, pid=None, state=None, kind=Kind.OTHER_THREAD):
 
 
 @pytest.mark.parametrize(
-    ("one", "step"),
+    ("single", "step"),
     [
         (part(0, 5, 1, State.RUNNING), Step.CALLBACK),
         (part(0, 5, 1, State.RUNNING, Kind.INTERRUPT), Step.CALLBACK),
@@ -61,10 +61,10 @@ def part(begin_ns, end_ns, pid=None, state=None, kind=Kind.OTHER_THREAD):
         (part(0, 5, kind=Kind.UNEXPLAINED), Step.UNKNOWN),
     ],
 )
-def test_the_step_of_a_part(one, step):
-    assert steps([one], pid=1, own=frozenset({1, 2})) == {step: 5}
+def test_the_step_of_a_part(single, step):
+    assert steps([single], pid=1, own=frozenset({1, 2})) == {step: 5}
 
 
 def test_of_other_threads_the_last_one_wrote():
-    made = steps([part(0, 5, 4), part(5, 6, 3), part(6, 9, 2), part(9, 10, 1)], pid=1, own=frozenset({1, 2}))
-    assert made == {Step.PUBLISHER: 5, Step.WRITE: 1, Step.READ: 3, Step.QUEUE: 1}
+    lengths = steps([part(0, 5, 4), part(5, 6, 3), part(6, 9, 2), part(9, 10, 1)], pid=1, own=frozenset({1, 2}))
+    assert lengths == {Step.PUBLISHER: 5, Step.WRITE: 1, Step.READ: 3, Step.QUEUE: 1}

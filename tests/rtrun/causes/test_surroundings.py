@@ -50,10 +50,10 @@ def unusual(folder):
 # A clock that is not disciplined by NTP is ahead or behind by this after some weeks.
 @pytest.mark.parametrize("clocks_apart_s", [0.0, 40.0, -40.0])
 def test_the_interrupt_that_came_with_the_late_values_is_named(tmp_path, clocks_apart_s):
-    (one,) = unusual(write_sampled(tmp_path, clocks_apart_s=clocks_apart_s))
-    assert (one.quantity, one.unit) == ("24:eth0", "a second")
-    assert one.p_value <= 0.01 and one.late > 1000 > 100 > one.otherwise
-    assert one.tried == 4, "three counts and the temperature; what never changes is not tried"
+    (found,) = unusual(write_sampled(tmp_path, clocks_apart_s=clocks_apart_s))
+    assert (found.quantity, found.unit) == ("24:eth0", "a second")
+    assert found.p_value <= 0.01 and found.late > 1000 > 100 > found.otherwise
+    assert found.tried == 4, "three counts and the temperature; what never changes is not tried"
 
 
 def test_where_nothing_came_with_them_nothing_is_named(tmp_path):
