@@ -16,7 +16,7 @@ def spread(group: Group) -> str:
     if any(misses.values()):
         parts.append(f"P(miss) {_range({board: (p, f'{p:.2g}') for board, p in misses.items()})}")
     figures = {board.boards[0]: figures_of_histogram(board.histogram) for board in group.members}
-    high = {board: one.percentiles_ns.get(_SPREAD_PERCENT) for board, one in figures.items()}
+    high = {board: measured.percentiles_ns.get(_SPREAD_PERCENT) for board, measured in figures.items()}
     worst = {board.boards[0]: board.verdict.worst_ns for board in group.members if board.verdict}
     for name, values in ((f"p{_SPREAD_PERCENT:g}", high), ("worst", worst)):
         known = {board: (float(value), time(value)) for board, value in values.items() if value is not None}
@@ -40,6 +40,6 @@ def differences(groups: Sequence[Group]) -> list[str]:
         for board, environment in boards.items():
             values.setdefault(dict(environment)[fact], []).append(board)
         if len(values) > 1:
-            said = "; ".join(f"{value} on {', '.join(names)}" for value, names in values.items())
-            lines.append(f"boards that differ in {fact} are not pooled: {said}")
+            which = "; ".join(f"{value} on {', '.join(names)}" for value, names in values.items())
+            lines.append(f"boards that differ in {fact} are not pooled: {which}")
     return lines

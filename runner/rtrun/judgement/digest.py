@@ -213,11 +213,11 @@ def pool_figures(digests: Sequence[Digest]) -> Figures:
     """
     if len(digests) == 1:
         return digests[0].figures
-    parts = [one.figures for one in digests if one.n]
+    parts = [output.figures for output in digests if output.n]
     lows = [part.min_ns for part in parts if part.min_ns is not None]
     highs = [part.max_ns for part in parts if part.max_ns is not None]
     mean_ns, std_ns = _pooled_moments(parts)
-    merged = merge(one.histogram for one in digests)
+    merged = merge(output.histogram for output in digests)
     return Figures(
         n=sum(part.n for part in parts),
         min_ns=min(lows, default=None),

@@ -132,9 +132,9 @@ def _page_faults(record: RunRecord, most: int) -> Iterator[Case]:
 def _allocations(record: RunRecord, most: int) -> Iterator[Case]:
     """A case for each program of a suite that counted its allocations."""
     for program in record.programs:
-        if program.costs and (made := program.costs.allocations) is not None:
-            text = f"{counted(made, 'allocation')} while it measured, {most} allowed"
-            yield Case(about=f"{record.run} {program.name}", answer=ALLOCATIONS, text=text, passed=made <= most)
+        if program.costs and (number := program.costs.allocations) is not None:
+            text = f"{counted(number, 'allocation')} while it measured, {most} allowed"
+            yield Case(about=f"{record.run} {program.name}", answer=ALLOCATIONS, text=text, passed=number <= most)
 
 
 def why_not_accepted(measured: Platform, accepted: Platform) -> str | None:

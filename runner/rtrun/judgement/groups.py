@@ -44,7 +44,7 @@ class Group:
 
     suite: str
     series: str
-    of: Measure | None = None
+    measure: Measure | None = None
     target: str
     parameters: dict[str, Value]
     question: Question | None
@@ -70,7 +70,7 @@ class Group:
     @functools.cached_property
     def environment(self) -> tuple[tuple[str, str], ...]:
         """The facts in which two targets must agree for their runs to be pooled: (fact, values)."""
-        facts = {fact: {str(getattr(one.target, fact)) for one in self.records} for fact in _ENVIRONMENT}
+        facts = {fact: {str(getattr(record.target, fact)) for record in self.records} for fact in _ENVIRONMENT}
         facts |= {"platform": {str(self.platform)}, "clock step": {f"{self.clock_step_ns} ns"}}
         return tuple((fact, ", ".join(sorted(values))) for fact, values in facts.items())
 
@@ -83,9 +83,11 @@ class Group:
     @functools.cached_property
     def words(self) -> tuple[str, dict[str, Value]]:
         """What was measured in a few words, and the parameters that these do not name."""
-        told = self.series in MAIN_ONLY_IN_2014 or (self.of is not None and self.of != measures(self.suite)[0])
+        is_named = self.series in MAIN_ONLY_IN_2014 or (
+            self.measure is not None and self.measure != measures(self.suite)[0]
+        )
         observed, others = stream_words(self.suite, self.parameters)
-        words = [observed or self.suite.removesuffix("_tests"), self.series if told else ""]
+        words = [observed or self.suite.removesuffix("_tests"), self.series if is_named else ""]
         return " ".join(filter(None, words)), others
 
     @property
@@ -96,32 +98,32 @@ class Group:
     @property
     def runs(self) -> tuple[str, ...]:
         """Names of its runs, each once."""
-        return tuple(dict.fromkeys(one.run for one in self.digests))
+        return tuple(dict.fromkeys(digest.run for digest in self.digests))
 
     @property
     def n(self) -> int:
         """Measurements in all runs."""
-        return sum(one.n for one in self.digests)
+        return sum(digest.n for digest in self.digests)
 
     @functools.cached_property
     def blocks(self) -> tuple[Blocks, ...]:
         """One `Blocks` per run; its subscribers received the same messages and are added up."""
         by_run: dict[str, list[Blocks]] = {}
-        for one in self.digests:
-            if one.blocks is not None:
-                by_run.setdefault(one.run, []).append(one.blocks)
+        for digest in self.digests:
+            if digest.blocks is not None:
+                by_run.setdefault(digest.run, []).append(digest.blocks)
         records = {record.run: record for record in self.records}
         return tuple(_blocks_of_run(outputs, records.get(run)) for run, outputs in by_run.items())
 
     @property
     def clock_step_ns(self) -> int:
-        """The widest clock step of its measurements; 1 if none is known."""
-        return max((one.header.clock_step_ns or 1 for one in self.digests), default=1)
+        """The widest clock step that any of it was measured with; 1 where none is known."""
+        return max((digest.header.clock_step_ns or 1 for digest in self.digests), default=1)
 
     @functools.cached_property
     def histogram(self) -> Histogram:
         """All counts: the digests of a group have bins of one width."""
-        return merge(one.histogram for one in self.digests)
+        return merge(digest.histogram for digest in self.digests)
 
 
 def short_names(groups: Sequence[Group]) -> dict[str, str]:
@@ -131,25 +133,25 @@ def short_names(groups: Sequence[Group]) -> dict[str, str]:
     return {group.key: name for group, name in zip(groups, names, strict=True)}
 
 
-def key_of(target: str, one: JudgedDigest) -> str:
-    """The key of the group of a digest from this target: the same for all digests of a group."""
-    return json.dumps([target, *scenario(one)])
+def key_of(target: str, digest: JudgedDigest) -> str:
+    """The key of the group of a digest, which is of this target: the same for all digests of a group."""
+    return json.dumps([target, *scenario(digest)])
 
 
-def scenario(one: JudgedDigest) -> list[Any]:
-    """What was measured, and for which deadline, on any target."""
-    header, deadline_ns = one.header, one.question and one.question.deadline_ns
+def scenario(digest: JudgedDigest) -> list[Any]:
+    """What was measured for which deadline, wherever that was."""
+    header, deadline_ns = digest.header, digest.question and digest.question.deadline_ns
     telling = sorted(telling_parameters(header.parameters).items())
-    return [header.suite, header.series, deadline_ns, one.histogram.bin_ns, telling]
+    return [header.suite, header.series, deadline_ns, digest.histogram.bin_ns, telling]
 
 
 def slowest(alike: Sequence[JudgedDigest]) -> list[JudgedDigest]:
     """From each run the output with the highest value: subscribers of one run peak at the same messages."""
     worst: dict[str, JudgedDigest] = {}
-    for one in alike:
-        known = worst.get(one.run)
-        if known is None or (one.figures.max_ns or 0) > (known.figures.max_ns or 0):
-            worst[one.run] = one
+    for digest in alike:
+        known = worst.get(digest.run)
+        if known is None or (digest.figures.max_ns or 0) > (known.figures.max_ns or 0):
+            worst[digest.run] = digest
     return list(worst.values())
 
 

@@ -62,4 +62,4 @@ def _attribution(alone: Group, beside: Group, confidence: float) -> Attribution:
 
 def alone_of(found: Sequence[Influence]) -> tuple[Group, ...]:
     """The paths alone, each once, in their order."""
-    return tuple({one.alone.key: one.alone for one in found}.values())
+    return tuple({influence.alone.key: influence.alone for influence in found}.values())

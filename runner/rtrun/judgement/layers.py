@@ -84,7 +84,7 @@ def differing_in_layer(groups: Sequence[Group]) -> list[tuple[Group, Group]]:
 
 def _is_layer_below(below: Group, above: Group) -> bool:
     kind = kind_of(above.suite)
-    if kind is None or JITTER in (above.of, below.of):
+    if kind is None or JITTER in (above.measure, below.measure):
         return False
     over, under = (middleware_of(group.suite, group.parameters) for group in (above, below))
     stands_on = middlewares()[over].stands_on.get(suite(above.suite).kind or "", ())
@@ -106,7 +106,7 @@ def _differ_in_layer_alone(low: Group, high: Group) -> bool:
     """Whether two groups with real-time policy are alike in all else: target, priority, condition, period."""
     periods_ns = [period_of(group.parameters) for group in (low, high)]
     alike = low.target == high.target and _others(low) == _others(high) and periods_ns[0] == periods_ns[1]
-    means_known = all(one.figures.mean_ns is not None for group in (low, high) for one in group.digests)
+    means_known = all(digest.figures.mean_ns is not None for group in (low, high) for digest in group.digests)
     one_thread = low.parameters.get("threads", 1) == 1
     return alike and means_known and one_thread and is_real_time(high.parameters) and bool(low.blocks and high.blocks)
 

@@ -35,13 +35,13 @@ class NodeBound:
     broken: str = ""
 
 
-def response_bounds(of: MeasuredTopology) -> tuple[NodeBound, ...]:
+def response_bounds(measured: MeasuredTopology) -> tuple[NodeBound, ...]:
     """A bound for each node with a period, or why there is none."""
-    return tuple(_bound(of, node) for node in of.shown.topology.nodes if node.waits is Waits.PERIOD)
+    return tuple(_bound(measured, node) for node in measured.shown.topology.nodes if node.waits is Waits.PERIOD)
 
 
-def _bound(of: MeasuredTopology, node: TopologyNode) -> NodeBound:
-    topology, figures = of.shown.topology, {each.node: each for each in of.nodes}
+def _bound(measured: MeasuredTopology, node: TopologyNode) -> NodeBound:
+    topology, figures = measured.shown.topology, {found.node: found for found in measured.nodes}
     executor, own = topology.executor[node.executor], figures.get(node.name)
     known = NodeBound(
         node=node.name,
@@ -54,24 +54,24 @@ def _bound(of: MeasuredTopology, node: TopologyNode) -> NodeBound:
     before = [*_before(topology, node)]
     if why_not := _why_not(known, executor, before):
         return replace(known, why_not=why_not)
-    costs = {name: each.cpu.max_ns or 0 for name, each in figures.items()}
+    costs = {name: found.cpu.max_ns or 0 for name, found in figures.items()}
     task, *others = (
         # The nodes that run before are known, so it does not matter how much higher their priority is.
         PeriodicTask(
-            name=each.name,
-            period_ns=each.period_ns,
-            cost_ns=costs.get(each.name, 0),
+            name=timed.name,
+            period_ns=timed.period_ns,
+            cost_ns=costs.get(timed.name, 0),
             priority=executor.priority,
             jitter_ns=known.wakes_ns,
         )
-        for each in (node, *before)
+        for timed in (node, *before)
     )
     bound_ns = response_bound(task, others)
     if bound_ns is None:
         return replace(known, why_not="it and what comes before it ask for all of the CPU, or nearly")
     assert own is not None
     is_broken = (known.measured_ns or 0) > bound_ns
-    return replace(known, bound_ns=bound_ns, broken=_broken(own, bound_ns, of.records) if is_broken else "")
+    return replace(known, bound_ns=bound_ns, broken=_broken(own, bound_ns, measured.records) if is_broken else "")
 
 
 def _before(topology: Topology, node: TopologyNode) -> Iterator[TopologyNode]:
@@ -91,7 +91,7 @@ def _why_not(known: NodeBound, executor: Executor, before: Sequence[TopologyNode
         return "its thread may run on several CPUs"
     if not known.cost_ns or known.measured_ns is None:
         return "it was not seen to run"
-    if others := [each.name for each in before if each.waits is not Waits.PERIOD]:
+    if others := [other.name for other in before if other.waits is not Waits.PERIOD]:
         return f"what may come before it has no period: {listed(others, _NAMED)}"
     return ""
 

@@ -59,7 +59,7 @@ def split(study: Study, by: By | None = None, names: Sequence[str] = ()) -> tupl
         if _values(sides[0], key).isdisjoint(_values(sides[1], key))
     }
     if by == "middleware":  # what only one of the two knows
-        varying |= {key for key, one in options().items() if not all(map(one.is_taken_through, chosen))}
+        varying |= {key for key, option in options().items() if not all(map(option.is_taken_through, chosen))}
     first, second = (
         replace(
             study,

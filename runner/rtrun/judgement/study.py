@@ -58,7 +58,7 @@ class Study:
     def answers(self) -> tuple[Group, ...]:
         """The groups that get an answer: pooled ones first, each followed by its boards, then those of one board."""
         alone = [group for group in self.groups if group.key not in self.members]
-        return (*(each for group in self.pooled for each in (group, *group.members)), *alone)
+        return (*(shown for group in self.pooled for shown in (group, *group.members)), *alone)
 
     @functools.cached_property
     def members(self) -> frozenset[str]:
@@ -89,7 +89,7 @@ class Study:
     @property
     def platform(self) -> Platform:
         """What the runs were made on."""
-        return next((one.header.platform for one in (*self.digests, *self.others)), Platform.HARDWARE)
+        return next((output.header.platform for output in (*self.digests, *self.others)), Platform.HARDWARE)
 
     @property
     def preempt_rt(self) -> list[bool]:
@@ -98,9 +98,9 @@ class Study:
 
     @property
     def asked(self) -> Question:
-        """The question; it names the series by which its groups are judged, if that is the same for all."""
-        of = {group.of for group in self.groups}
-        return replace(self.question, of=of.pop() if len(of) == 1 else None)
+        """The question; it names the series that its groups are judged by, where that is the same for all."""
+        named = {group.measure for group in self.groups}
+        return replace(self.question, of=named.pop() if len(named) == 1 else None)
 
     @property
     def deadlines_ns(self) -> tuple[int, ...]:
@@ -135,7 +135,7 @@ class Study:
     @property
     def digests(self) -> tuple[JudgedDigest, ...]:
         """Main series of all runs."""
-        return tuple(one for group in self.groups for one in group.digests)
+        return tuple(output for group in self.groups for output in group.digests)
 
 
 def study(
@@ -159,7 +159,7 @@ def study(
     _check_of(path, records.values(), question)
     read = {folder: _read_run(folder, record, question, known) for folder, record in records.items()}
     runs = [*read.values()]
-    digests = [one for run in runs for one in run.digests]
+    digests = [output for run in runs for output in run.digests]
     if not source.folders:
         digests = [digest(series, of_file) for series in read_file(path, question.of)]
     _check_platform(path, digests)
@@ -179,16 +179,16 @@ def study(
         ),
         read_again=read_again,
     )
-    same = _same_measurements([one for one in digests if isinstance(one, JudgedDigest)])
-    judged_digests = [one for one in digests if isinstance(one, JudgedDigest) and one.run not in same]
-    groups = _grouped([one for one in judged_digests if one.header.main], basis, bounds=bounds)
+    same = _same_measurements([output for output in digests if isinstance(output, JudgedDigest)])
+    judged_digests = [output for output in digests if isinstance(output, JudgedDigest) and output.run not in same]
+    groups = _grouped([output for output in judged_digests if output.header.main], basis, bounds=bounds)
     return Study(
         source=source,
         question=question,
         groups=groups,
         pooled=tuple(_pooled(groups, basis)),
-        groups_2014=_grouped([one for one in judged_digests if not one.header.main], basis, bounds=False),
-        others=tuple(one for one in digests if not one.header.main and one.run not in same),
+        groups_2014=_grouped([output for output in judged_digests if not output.header.main], basis, bounds=False),
+        others=tuple(output for output in digests if not output.header.main and output.run not in same),
         records=tuple(records.values()),
         left_out=(
             *(f"{name}: incomplete, it has no run.json: nothing in it is analysed" for name in source.incomplete),
@@ -204,14 +204,14 @@ def _same_measurements(digests: Sequence[JudgedDigest]) -> dict[str, str]:
     """Runs of one kind that hold the measurements of another one, by name, each with a line that names both."""
     counts: dict[str, list[tuple[str, Histogram]]] = {}
     places: dict[str, list[tuple[str, Trials]]] = {}
-    for one in digests:
-        if one.trials is None:
+    for output in digests:
+        if output.trials is None:
             continue
-        key = key_of(one.header.target, one)
-        if one.trials.misses is None:
-            counts.setdefault(key, []).append((one.run, one.histogram))
-        elif one.header.main:
-            places.setdefault(key, []).append((one.run, one.trials))
+        key = key_of(output.header.target, output)
+        if output.trials.misses is None:
+            counts.setdefault(key, []).append((output.run, output.histogram))
+        elif output.header.main:
+            places.setdefault(key, []).append((output.run, output.trials))
     same = {
         run: f"{run}: a copy? it and {other} hold the same counts, and neither counts"
         for members in counts.values()
@@ -287,15 +287,15 @@ def _read_run(
         return _DigestedRun(left_out=(str(error),), unreadable=str(error))
     if known is not None:
         known[folder, startup_loops] = tuple(
-            replace(one, tail=None, blocks=None, course=None) if isinstance(one, JudgedDigest) else one
-            for one in digests
+            replace(output, tail=None, blocks=None, course=None) if isinstance(output, JudgedDigest) else output
+            for output in digests
         )
     left_out = (f"{record.run}: {output} is incomplete: {reason}" for output, reason in incomplete.items())
     return _DigestedRun(digests=tuple(digests), left_out=tuple(left_out))
 
 
 def _check_platform(path: Path, digests: Sequence[Digest]) -> None:
-    if len(platforms := sorted({one.header.platform for one in digests})) > 1:
+    if len(platforms := sorted({output.header.platform for output in digests})) > 1:
         raise UsageError(
             f"{path}: holds runs of several platforms ({', '.join(platforms)}), which say different things about time: "
             "move the runs of each platform into a folder of their own"
@@ -317,8 +317,8 @@ def _check_of(path: Path, records: Iterable[RunRecord], question: Question) -> N
 
 def _grouped(digests: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> tuple[Group, ...]:
     by_key: dict[str, list[JudgedDigest]] = {}
-    for one in digests:
-        by_key.setdefault(key_of(one.header.target, one), []).append(one)
+    for output in digests:
+        by_key.setdefault(key_of(output.header.target, output), []).append(output)
     alike = showing_progress([*by_key.values()], "judging group")
     groups = [_group(members, basis, bounds=bounds) for members in alike]
     return tuple(sorted(groups, key=lambda group: (group.suite, group.target)))
@@ -335,7 +335,7 @@ def _pooled(groups: Sequence[Group], basis: _Basis) -> Iterator[Group]:
             alike.setdefault(json.dumps([scenario(group.digests[0]), group.environment]), []).append(group)
     for members in alike.values():
         if len({board for group in members for board in group.boards}) > 1:
-            digests = [one for group in members for one in group.digests]
+            digests = [output for group in members for output in group.digests]
             pooled = _group(digests, basis, bounds=False)
             yield replace(pooled, target=", ".join(group.target for group in members), members=tuple(members))
 
@@ -344,13 +344,13 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
     alike, startup = _without_startup(alike, basis)
     first, records = alike[0].header, basis.records
     account = _account(alike, basis, startup)
-    undecidable = next((one.undecidable for one in alike if one.undecidable), None)
+    undecidable = next((output.undecidable for output in alike if output.undecidable), None)
     asked = alike[0].question
     worst_cases, no_bound = _bounds(alike, asked) if bounds and asked else ((), None)
     return Group(
         suite=first.suite,
         series=first.series,
-        of=first.measure,
+        measure=first.measure,
         target=first.target,
         parameters=telling_parameters(first.parameters),
         question=asked,
@@ -360,39 +360,39 @@ def _group(alike: Sequence[JudgedDigest], basis: _Basis, *, bounds: bool) -> Gro
         undecidable=undecidable,
         bounds=worst_cases,
         no_bound=no_bound,
-        records=tuple(records[run] for run in dict.fromkeys(one.run for one in alike) if run in records),
+        records=tuple(records[run] for run in dict.fromkeys(output.run for output in alike) if run in records),
     )
 
 
 def _without_startup(alike: Sequence[JudgedDigest], basis: _Basis) -> tuple[Sequence[JudgedDigest], StartUp | None]:
     """The digests without the common start-up of their runs in the trials, and that start-up."""
     by_run: dict[str, list[JudgedDigest]] = {}
-    for one in alike:
-        by_run.setdefault(one.run, []).append(one)
-    heads = [[one.head for one in of_run if one.head is not None] for of_run in by_run.values()]
+    for output in alike:
+        by_run.setdefault(output.run, []).append(output)
+    heads = [[output.head for output in of_run if output.head is not None] for of_run in by_run.values()]
     startup = find_startup(heads) if sum(map(len, heads)) == len(alike) else None
     loops = startup.loops if startup else 0
-    return [one if _startup_loops(one) == loops else _read_again(one, loops, basis) for one in alike], startup
+    return [known if _startup_loops(known) == loops else _read_again(known, loops, basis) for known in alike], startup
 
 
-def _startup_loops(one: JudgedDigest) -> int:
-    return one.startup.n if one.startup else 0
+def _startup_loops(output: JudgedDigest) -> int:
+    return output.startup.n if output.startup else 0
 
 
-def _read_again(one: JudgedDigest, startup_loops: int, basis: _Basis) -> JudgedDigest:
-    """The same series with `startup_loops` first loops left out of its trials. Raises UsageError when it is gone."""
-    series = one.header.output, one.header.series
-    for again in basis.read_again(one.run, startup_loops):
+def _read_again(known: JudgedDigest, startup_loops: int, basis: _Basis) -> JudgedDigest:
+    """The same series without so many first loops in its trials. Raises UsageError when it is gone."""
+    series = known.header.output, known.header.series
+    for again in basis.read_again(known.run, startup_loops):
         if isinstance(again, JudgedDigest) and (again.header.output, again.header.series) == series:
             return again
-    raise UsageError(f"{one.run}: {one.header.output} was changed while it was read: try again")
+    raise UsageError(f"{known.run}: {known.header.output} was changed while it was read: try again")
 
 
 def _account(alike: Sequence[JudgedDigest], basis: _Basis, startup: StartUp | None) -> Account | None:
-    outputs = [(one.header, one.trials) for one in alike if one.trials is not None]
+    outputs = [(output.header, output.trials) for output in alike if output.trials is not None]
     if not outputs:
         return None
-    firsts = [one.startup for one in alike if one.startup is not None]
+    firsts = [output.startup for output in alike if output.startup is not None]
     account = take_account(outputs, basis.records, basis.lost)
     return replace(account, startup=left_out(startup, firsts)) if startup else account
 
@@ -405,14 +405,14 @@ def _verdict(account: Account, first: Header, question: Question) -> Verdict:
 def _bounds(alike: Sequence[JudgedDigest], question: Question) -> tuple[tuple[Bound, ...], str | None]:
     if alike[0].header.platform is Platform.EMULATED:
         return (), "measured on an emulated board"
-    tails = [one.tail for one in slowest(alike)]
+    tails = [output.tail for output in slowest(alike)]
     if any(tail is None for tail in tails):
         return (), "a log without samples keeps no order: neither dependence nor stationarity can be tested"
     return worst_case(
         [tail for tail in tails if tail is not None],
         probability=question.probability,
         confidence=question.confidence,
-        quantum_ns=clock_step_ns([one.header for one in alike]) or 1,
+        quantum_ns=clock_step_ns([output.header for output in alike]) or 1,
     ), None
 
 

@@ -54,29 +54,29 @@ def measured_topologies(study: Study) -> tuple[MeasuredTopology, ...]:
 
 
 def _label(record: RunRecord) -> str:
-    """Which topology, through which middleware, under which circumstances, and on which target."""
-    told = telling_parameters(record.circumstances)
-    through = f"{told.pop('topology', '')} through {told.pop('middleware', '')}"
-    return f"{' '.join(filter(None, (through, format_parameters(told))))} on {record.target.name}"
+    """Which topology, through what, under which circumstances, and where."""
+    parameters = telling_parameters(record.circumstances)
+    through = f"{parameters.pop('topology', '')} through {parameters.pop('middleware', '')}"
+    return f"{' '.join(filter(None, (through, format_parameters(parameters))))} on {record.target.name}"
 
 
 def _together(label: str, runs: Sequence[tuple[RunRecord, TopologyRecord]]) -> MeasuredTopology:
-    worst, shown = max(runs, key=lambda each: _longest_ns(each[1]))
+    worst, shown = max(runs, key=lambda run: _longest_ns(run[1]))
     figures = [found for _, found in runs]
     return MeasuredTopology(
         label=label,
         run=worst.run,
         shown=shown,
         nodes=tuple(
-            _node([each for one in figures for each in one.nodes if each.node == node.node]) for node in shown.nodes
+            _node([own for found in figures for own in found.nodes if own.node == node.node]) for node in shown.nodes
         ),
         hops=tuple(
             _hop(
                 [
-                    each
-                    for one in figures
-                    for each in one.hops
-                    if (each.topic, each.subscriber) == (hop.topic, hop.subscriber)
+                    own
+                    for found in figures
+                    for own in found.hops
+                    if (own.topic, own.subscriber) == (hop.topic, hop.subscriber)
                 ]
             )
             for hop in shown.hops
@@ -91,9 +91,8 @@ def _longest_ns(found: TopologyRecord) -> int:
 
 
 def _critical(found: TopologyRecord) -> PathFigures | None:
-    """The path whose reaction is the largest part of its deadline; if none has a deadline, that of the longest
-    reaction."""
-    deadlines = {each.name: each for each in own_deadlines(found.topology) if each.stream is PATH}
+    """The path whose reaction is the largest part of its deadline; where none has one, the longest reaction."""
+    deadlines = {deadline.name: deadline for deadline in own_deadlines(found.topology) if deadline.stream is PATH}
     measured = [path for path in found.paths if path.reaction.max_ns is not None]
     with_deadline = [path for path in measured if ",".join(path.topics) in deadlines]
     return max(with_deadline or measured, key=lambda path: _urgency(path, deadlines), default=None)
@@ -107,33 +106,33 @@ def _urgency(path: PathFigures, deadlines: dict[str, StreamDeadline]) -> float:
 def _node(alike: Sequence[NodeFigures]) -> NodeFigures:
     return NodeFigures(
         node=alike[0].node,
-        activations=sum(each.activations for each in alike),
-        overruns=sum(each.overruns for each in alike),
-        cpu=_worst(each.cpu for each in alike),
-        response=_worst(each.response for each in alike),
-        lateness=_worst(each.lateness for each in alike),
+        activations=sum(figures.activations for figures in alike),
+        overruns=sum(figures.overruns for figures in alike),
+        cpu=_worst(figures.cpu for figures in alike),
+        response=_worst(figures.response for figures in alike),
+        lateness=_worst(figures.lateness for figures in alike),
     )
 
 
 def _hop(alike: Sequence[HopFigures]) -> HopFigures:
-    causes = dict.fromkeys(cause for each in alike for cause in each.lost)
+    causes = dict.fromkeys(cause for figures in alike for cause in figures.lost)
     return HopFigures(
         topic=alike[0].topic,
         publisher=alike[0].publisher,
         subscriber=alike[0].subscriber,
-        sent=sum(each.sent for each in alike),
-        taken=sum(each.taken for each in alike),
-        overwritten=sum(each.overwritten for each in alike),
-        unused=sum(each.unused for each in alike),
-        lost={cause: sum(each.lost.get(cause, 0) for each in alike) for cause in causes},
-        latency=_worst(each.latency for each in alike),
+        sent=sum(figures.sent for figures in alike),
+        taken=sum(figures.taken for figures in alike),
+        overwritten=sum(figures.overwritten for figures in alike),
+        unused=sum(figures.unused for figures in alike),
+        lost={cause: sum(figures.lost.get(cause, 0) for figures in alike) for cause in causes},
+        latency=_worst(figures.latency for figures in alike),
     )
 
 
 def _worst(spreads: Iterable[Spread]) -> Spread:
     """The largest of all; a median of several runs cannot be derived from their medians."""
-    known = [each for each in spreads if each.max_ns is not None]
+    known = [spread for spread in spreads if spread.max_ns is not None]
     median_ns = known[0].median_ns if len(known) == 1 else None
     return Spread(
-        median_ns=median_ns, max_ns=max((each.max_ns for each in known if each.max_ns is not None), default=None)
+        median_ns=median_ns, max_ns=max((spread.max_ns for spread in known if spread.max_ns is not None), default=None)
     )

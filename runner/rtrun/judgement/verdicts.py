@@ -72,7 +72,7 @@ def verdict_line(group: Group, name: str = "") -> VerdictLine:
 
 def _numbers(verdict: Verdict, group: Group) -> str:
     parts = sentences(verdict)
-    startup_ns = [value.value_ns for one in group.digests for value in one.header.startup]
+    startup_ns = [value.value_ns for digest in group.digests for value in digest.header.startup]
     late_start = [value_ns for value_ns in startup_ns if is_late(value_ns, verdict.question.limit_ns)]
     if late_start:
         parts.append(f"start-up apart: {len(late_start)} late, worst {time(max(late_start))}")
@@ -258,8 +258,8 @@ def _covered(verdict: Verdict) -> str:
 
 
 def _of_whom(verdict: Verdict) -> list[str]:
-    """The boots, boards and hours for which an answer holds, and those that it does not know."""
-    return _boots(verdict) + [words for each in verdict.unlike if (words := _unlike_in_words(each))]
+    """The boots, boards and hours that an answer holds for, and those that are unknown to it."""
+    return _boots(verdict) + [words for unlike in verdict.unlike if (words := _unlike_in_words(unlike))]
 
 
 def _scope(verdict: Verdict) -> list[str]:

@@ -49,15 +49,15 @@ def no_runs(what: str) -> ClaimResult:
     return ClaimResult(finding=Finding.UNDECIDED, numbers=f"no {what} in this campaign")
 
 
-def select(groups: Iterable[Group], of: MeasurementKind | str, *, rt: bool | None = None) -> list[Group]:
+def select(groups: Iterable[Group], kind: MeasurementKind | str, *, rt: bool | None = None) -> list[Group]:
     """The groups of a kind, or of a baseline, that measured something; `rt`: with a real-time policy, or without."""
-    measured = [group for group in groups if is_of(group.suite, of) and group.n]
+    measured = [group for group in groups if is_of(group.suite, kind) and group.n]
     return [group for group in measured if rt is None or is_real_time(group.parameters) is rt]
 
 
-def is_of(suite: str, of: MeasurementKind | str) -> bool:
+def is_of(suite: str, kind: MeasurementKind | str) -> bool:
     """Whether a suite is of a kind, or is the baseline of this name."""
-    return suite == of if isinstance(of, str) else kind_of(suite) is of
+    return suite == kind if isinstance(kind, str) else kind_of(suite) is kind
 
 
 def runs_of(groups: Iterable[Group]) -> tuple[str, ...]:

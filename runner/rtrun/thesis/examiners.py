@@ -90,6 +90,6 @@ def _on_preempt_rt(study: Study) -> Study:
         study,
         groups=remaining(study.groups),
         groups_2014=remaining(study.groups_2014),
-        others=tuple(one for one in study.others if one.run not in on_standard),
+        others=tuple(digest for digest in study.others if digest.run not in on_standard),
         records=tuple(record for record in study.records if record.run not in on_standard),
     )

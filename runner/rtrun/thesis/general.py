@@ -122,10 +122,10 @@ def comm_more_subscribers_broader(study: Study) -> ClaimResult:
     missing = "pair of communication runs with one and five real-time subscribers"
     result = examine_shift(study, candidates, "p99", +1, missing)
     ranges = [[_range_ns(group) for group in pair] for pair in candidates]
-    broader = all(five - one >= _BROADER_NS for one, five in ranges)
+    broader = all(five - single >= _BROADER_NS for single, five in ranges)
     if result.finding == Finding.CONFIRMED and not broader:
         result = replace(result, finding=Finding.UNDECIDED)
-    words = [f"range {time(one)} -> {time(five)}" for one, five in ranges]
+    words = [f"range {time(single)} -> {time(five)}" for single, five in ranges]
     return replace(result, numbers="; ".join([result.numbers, *words]))
 
 

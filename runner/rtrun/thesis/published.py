@@ -21,7 +21,7 @@ def published_figures(study: Study) -> Table:
         title="Beside the published PandaBoard figures",
         columns=("suite and parameters", "published", *_SHOWN, *(f"2014 {name}" for name in _SHOWN)),
         rows=[
-            (group.label, row.place, *map(time, [*map(times.get, _SHOWN), *(1000 * each for each in row.figures_us)]))
+            (group.label, row.place, *map(time, [*map(times.get, _SHOWN), *(1000 * us for us in row.figures_us)]))
             for (row, group), times in zip(matched, here, strict=True)
         ],
         outcome=f"{measured} of the {len(of_table)} rows of the one-shot table were measured here",

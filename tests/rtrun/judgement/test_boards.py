@@ -41,13 +41,13 @@ def test_alike_boards_prove_together_what_none_proves_alone(tmp_path, capsys):
         ", 2 boards" in out and ", a " in out and "of single boards: p99.9 " in out and " (a) to " in out + " (b) to "
     )
     assert main(["gate", str(tmp_path), "-v", *WORDS]) == 0
-    told = capsys.readouterr().out
-    assert "holds for the 2 boards together" in told
-    assert "boards of another kind may be up to 85 % of all" in " ".join(told.split())
-    assert "measured in 1 of the 24 hours of a day" in " ".join(told.split())
+    out = capsys.readouterr().out
+    assert "holds for the 2 boards together" in out
+    assert "boards of another kind may be up to 85 % of all" in " ".join(out.split())
+    assert "measured in 1 of the 24 hours of a day" in " ".join(out.split())
     assert main(["report", str(tmp_path), *WORDS, "--format", "markdown", "--output", "-"]) == 0
-    told = capsys.readouterr().out
-    assert "is met in the one scenario" in told and "for the 2 boards together" in told and "not decided" not in told
+    out = capsys.readouterr().out
+    assert "is met in the one scenario" in out and "for the 2 boards together" in out and "not decided" not in out
     assert main(["report", str(tmp_path), *WORDS, "--format", "json", "--output", "-"]) == 0
     groups = json.loads(capsys.readouterr().out)["groups"]
     assert [group["verdict"]["answer"] for group in groups] == ["PROVEN", "NEEDS MORE", "NEEDS MORE"]

@@ -93,22 +93,22 @@ def test_a_scenario_is_a_line_and_what_its_answer_rests_on_is_told_when_asked_fo
     main([command, str(campaign), "--deadline", "400us"])
     short = capsys.readouterr().out.splitlines()
     main([command, str(campaign), "--deadline", "400us", "-v"])
-    told = [line for line in capsys.readouterr().out.splitlines() if "; worst " in line]
-    assert len(told) == 15 and len(short) < 15 + 6 and not any("; worst " in line for line in short)
+    lines = [line for line in capsys.readouterr().out.splitlines() if "; worst " in line]
+    assert len(lines) == 15 and len(short) < 15 + 6 and not any("; worst " in line for line in short)
 
 
 @pytest.mark.parametrize(
-    ("command", "told"),
+    ("command", "sentence"),
     [
         (["gate"], "\n\nno scenario has an answer: measured on an emulated board\n"),
         (["report", "--format", "junit"], " in any scenario: measured on an emulated board.\n"),
     ],
 )
-def test_why_no_scenario_has_an_answer_is_printed_once(emulated, tmp_path, capsys, command, told):
+def test_why_no_scenario_has_an_answer_is_printed_once(emulated, tmp_path, capsys, command, sentence):
     output = ["--output", str(tmp_path / "x")] if command[0] == "report" else []
     main([command[0], str(emulated), "--deadline", "400us", *command[1:], *output])
     printed = capsys.readouterr().out
-    assert printed.count(told) == 1
+    assert printed.count(sentence) == 1
     assert printed.count("measured on") == 1
 
 

@@ -48,17 +48,17 @@ def write(root, *, in_turn=True):
 
 def test_what_was_planted_is_found_with_its_interval(tmp_path):
     found = influences(study(write(tmp_path / "runs"), THESIS, bounds=False))
-    assert sorted((one.other_nodes, str(one.beside.parameters["sink"])) for one in found) == [
+    assert sorted((influence.other_nodes, str(influence.beside.parameters["sink"])) for influence in found) == [
         ("1 idle", "/c"),
         ("1 idle", "/d"),
         ("4 busy on 1", "/c"),
         ("4 busy on 1", "/d"),
     ]
-    for one in found:
-        assert one.alone.parameters["sink"] == one.beside.parameters["sink"]
-        added = {each.figure: each for each in one.attribution.added}
+    for influence in found:
+        assert influence.alone.parameters["sink"] == influence.beside.parameters["sink"]
+        added = {part.figure: part for part in influence.attribution.added}
         assert [*added] == ["mean", "median", "p99.9", LATE]
-        planted = ADDED_NS[one.other_nodes]
+        planted = ADDED_NS[influence.other_nodes]
         for figure in ("mean", "median"):
             assert added[figure].low < planted < added[figure].high
             assert added[figure].high - added[figure].low < 20 * US
@@ -73,7 +73,7 @@ def test_what_was_planted_is_found_with_its_interval(tmp_path):
 
 def test_runs_that_were_not_in_turn_say_nothing(tmp_path):
     found = influences(study(write(tmp_path / "runs", in_turn=False), THESIS, bounds=False))
-    assert not any(one.attribution.added for one in found)
+    assert not any(influence.attribution.added for influence in found)
     assert "not measured in turn" in table(found, 0.95).notes[-1]
 
 
@@ -91,9 +91,9 @@ def test_nodes_beside_a_topology_take_and_send_nothing_of_it():
         both, others = beside(alone, read_other_nodes(f"2 {kind} on 1"))
         assert len(others) == number and not set(others) & {"other1"}
         assert both.nodes[0] == node and len(both.processes) == number + 1
-        added = [each for each in both.nodes if each.name in others]
-        assert {topic for each in added for topic in each.outputs}.isdisjoint(node.outputs)
-        assert all(topic in both.publisher for each in added for topic in each.inputs)
-        assert {each.busy_ns for each in added} == {BUSY_NS if kind == "busy" else 0}
-        for each in both.executors[1:]:
-            assert (each.policy, each.priority, each.cpus) == ("FIFO", 7, (1,))
+        added = [other for other in both.nodes if other.name in others]
+        assert {topic for other in added for topic in other.outputs}.isdisjoint(node.outputs)
+        assert all(topic in both.publisher for other in added for topic in other.inputs)
+        assert {other.busy_ns for other in added} == {BUSY_NS if kind == "busy" else 0}
+        for executor in both.executors[1:]:
+            assert (executor.policy, executor.priority, executor.cpus) == ("FIFO", 7, (1,))

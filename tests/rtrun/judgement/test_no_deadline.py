@@ -54,4 +54,4 @@ def test_a_gate_does_not_pass(results, capsys):
 def test_two_sides_are_compared_without_misses(results, capsys):
     assert main(["compare", str(results), str(results), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert data["deadline_ns"] is None and all(each["miss"] is None for each in data["changes"])
+    assert data["deadline_ns"] is None and all(change["miss"] is None for change in data["changes"])

@@ -39,29 +39,29 @@ def figures(name, response_ns=MS, late_ns=0):
 def bounds(folder, *changed, lines=LINES, **record):
     """The bounds of a study of one run, whose figures are those above but for what is changed; by node."""
     topology = topology_of(folder, nodes(*lines))
-    by_name = {node.name: figures(node.name) for node in topology.nodes} | {each.node: each for each in changed}
-    made = made_topology(topology, nodes=list(by_name.values()))
-    write_topology_run(folder / "results" / "001-topology-test-rcl", made, **record)
+    by_name = {node.name: figures(node.name) for node in topology.nodes} | {own.node: own for own in changed}
+    found = made_topology(topology, nodes=list(by_name.values()))
+    write_topology_run(folder / "results" / "001-topology-test-rcl", found, **record)
     (measured,) = measured_topologies(study(folder / "results"))
-    return {each.node: each for each in response_bounds(measured)}
+    return {bound.node: bound for bound in response_bounds(measured)}
 
 
 def test_each_node_has_its_bound_or_is_told_why_not(tmp_path):
     found = bounds(tmp_path)
-    assert {name: each.bound_ns for name, each in found.items() if each.bound_ns} == {
+    assert {name: bound.bound_ns for name, bound in found.items() if bound.bound_ns} == {
         "fast": 3 * MS, "middle": 6 * MS, "slow": 20 * MS, "other": MS,
     }  # fmt: skip
-    assert {name: each.why_not for name, each in found.items() if each.why_not} == {
+    assert {name: bound.why_not for name, bound in found.items() if bound.why_not} == {
         "plain": "its thread has no real-time priority",
         "roams": "its thread may run on several CPUs",
         "below": "what may come before it has no period: driven",
     }
-    assert not any(each.broken for each in found.values())
+    assert not any(bound.broken for bound in found.values())
 
 
 def test_how_late_threads_wake_is_in_the_bound_of_all_on_their_cpu(tmp_path):
     found = bounds(tmp_path, figures("fast", late_ns=MS // 2))
-    assert {name: each.bound_ns for name, each in found.items() if name in COSTS_MS} == {
+    assert {name: bound.bound_ns for name, bound in found.items() if name in COSTS_MS} == {
         "fast": 3 * MS + MS // 2, "middle": 6 * MS + MS // 2, "slow": 20 * MS + MS // 2,
     }  # fmt: skip
     assert found["other"].wakes_ns == 0, "of another CPU"
@@ -71,7 +71,7 @@ RIVAL = {"name": "irq/42-eth0", "policy": "FIFO", "priority": 95}
 
 
 @pytest.mark.parametrize(
-    ("late_ns", "record", "told"),
+    ("late_ns", "record", "reason"),
     [
         (4 * MS, {}, "that nothing else takes the CPU: it began 4 ms late, of which the nodes explain 3 ms;"),
         (4 * MS, {"in_effect": {"rivals": [RIVAL]}}, "other threads of its priority or above: irq/42-eth0; the kernel"),
@@ -79,9 +79,9 @@ RIVAL = {"name": "irq/42-eth0", "policy": "FIFO", "priority": 95}
         (MS, {}, "that it does not wait in its work: it began in time"),
     ],
 )
-def test_a_response_above_its_bound_says_which_assumption_does_not_hold(tmp_path, late_ns, record, told):
+def test_a_response_above_its_bound_says_which_assumption_does_not_hold(tmp_path, late_ns, record, reason):
     found = bounds(tmp_path, figures("middle", response_ns=6 * MS + 1, late_ns=late_ns), **record)
-    assert told in found["middle"].broken
+    assert reason in found["middle"].broken
     assert not found["fast"].broken and not found["slow"].broken
     again = tmp_path / "at the bound"
     again.mkdir()
@@ -89,21 +89,21 @@ def test_a_response_above_its_bound_says_which_assumption_does_not_hold(tmp_path
 
 
 def test_one_priority_and_one_thread_count_as_coming_before_each_other(tmp_path):
-    of = "period: 20ms, policy: FIFO, priority: 50, cpu: 1"
-    found = bounds(tmp_path, lines=(f"a: {{{of}, executor: e}}", f"b: {{{of}, executor: e}}", f"c: {{{of}}}"))
-    assert {name: each.bound_ns for name, each in found.items()} == dict.fromkeys("abc", 3 * MS)
+    task = "period: 20ms, policy: FIFO, priority: 50, cpu: 1"
+    found = bounds(tmp_path, lines=(f"a: {{{task}, executor: e}}", f"b: {{{task}, executor: e}}", f"c: {{{task}}}"))
+    assert {name: bound.bound_ns for name, bound in found.items()} == dict.fromkeys("abc", 3 * MS)
 
 
 def test_runs_that_are_alike_give_the_worst_of_each_and_their_copies_count_once(tmp_path):
     topology = topology_of(tmp_path, nodes(*LINES[:3]))
     results = tmp_path / "results"
     for number, response_ns in enumerate((5 * MS, 7 * MS), start=1):
-        made = made_topology(topology, nodes=[figures("fast"), figures("middle", response_ns), figures("slow")])
-        write_topology_run(results / f"00{number}-topology-test-rcl", made)
+        found = made_topology(topology, nodes=[figures("fast"), figures("middle", response_ns), figures("slow")])
+        write_topology_run(results / f"00{number}-topology-test-rcl", found)
     other = write_topology_run(results / "003-topology-test-rcl-cpu80", made_topology(topology))
     record = json.loads((other / "run.json").read_text())
     (other / "run.json").write_text(json.dumps(record | {"condition": "cpu80"}))
     idle, loaded = measured_topologies(study(results))
     assert len(idle.records) == 2 and len(loaded.records) == 1
-    assert {each.node: each.measured_ns for each in response_bounds(idle)}["middle"] == 7 * MS
+    assert {bound.node: bound.measured_ns for bound in response_bounds(idle)}["middle"] == 7 * MS
     assert idle.nodes[0].activations == 200

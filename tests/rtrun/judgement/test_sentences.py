@@ -23,49 +23,49 @@ TWO, FEW = read_tolerance("2 in a row"), read_tolerance("3 of 100")
 TOLERANT = replace(QUESTION, of="jitter", tolerance=TWO)
 
 
-def trials(n: int, *late: int, boots: int = 1, of: Tolerance = NONE_TOLERATED) -> list[Trials]:
+def trials(n: int, *late: int, boots: int = 1, tolerance: Tolerance = NONE_TOLERATED) -> list[Trials]:
     """Runs of a boot each, n measurements in all, with misses at these places of the first one."""
-    made = []
+    runs = []
     for boot in range(boots):
         values = np.full(n // boots, 50_000) + np.arange(n // boots) * 7919 % 1000
         values[[place for place in late if not boot]] = 600_000
-        counted = count_misses(values, 400_000, tolerance=of)
-        made.append(replace(counted, boot=f"b{boot}", run=f"r{boot}", start_time=f"{boot:03}"))
-    return made
+        counted = count_misses(values, 400_000, tolerance=tolerance)
+        runs.append(replace(counted, boot=f"b{boot}", run=f"r{boot}", start_time=f"{boot:03}"))
+    return runs
 
 
 def test_the_answer_says_what_it_covers_and_for_what_it_already_holds():
     by_default = replace(QUESTION, bursts=None)
 
-    def said(measured, question=by_default, period_ns=PERIOD_NS):
-        timed = [replace(each, episodes=find_episodes(each.missed_at, each.n, period_ns)) for each in measured]
+    def text_of(measured, question=by_default, period_ns=PERIOD_NS):
+        timed = [replace(run, episodes=find_episodes(run.missed_at, run.n, period_ns)) for run in measured]
         return "; ".join(sentences(judge(Account(timed, period_ns=period_ns), question)))
 
     default = "bursts of 10 ms (10 misses in a row, the default)"
-    assert f"for misses that come singly it already holds; has to cover {default}; 32 8" in said(trials(4000))
-    assert f"for bursts of up to 5 misses it already holds; has to cover {default}; 16 8" in said(trials(20_000))
-    short = said(trials(1000))
+    assert f"for misses that come singly it already holds; has to cover {default}; 32 8" in text_of(trials(4000))
+    assert f"for bursts of up to 5 misses it already holds; has to cover {default}; 16 8" in text_of(trials(20_000))
+    short = text_of(trials(1000))
     assert "already holds" not in short and f"has to cover {default}; 35 8" in short
-    assert "holds for bursts of up to 27 misses (without a miss, 84 4" in said(trials(100_000))
-    assert f"covers {default}" in said(trials(100_000))
-    assert "covers bursts of 10 ms (a single miss, the default)" in said(trials(4000), period_ns=20e6)
-    unknown = said(trials(100_000), period_ns=None)
+    assert "holds for bursts of up to 27 misses (without a miss, 84 4" in text_of(trials(100_000))
+    assert f"covers {default}" in text_of(trials(100_000))
+    assert "covers bursts of 10 ms (a single miss, the default)" in text_of(trials(4000), period_ns=20e6)
+    unknown = text_of(trials(100_000), period_ns=None)
     assert "bursts of 10 ms (10 misses in a row, the default; the period is not known and counts as 1 ms)" in unknown
-    seen = said(trials(200_000, *range(500, 512)))
+    seen = text_of(trials(200_000, *range(500, 512)))
     assert "covers the longest burst that was seen (12 misses in a row, the default)" in seen
     assert "(1 seen, the longest of 12 misses within 12 ms)" in seen
-    stated = said(trials(4000), replace(QUESTION, bursts=20))
+    stated = text_of(trials(4000), replace(QUESTION, bursts=20))
     assert "for misses that come singly it already holds; has to cover bursts of up to 20 misses" in stated
-    assert "the default" not in stated + said(trials(4000), QUESTION)
-    assert "(2 seen, single misses)" in said(trials(4000, 500, 3000))
-    assert "already holds" not in said(trials(4000), replace(by_default, boots=3))
+    assert "the default" not in stated + text_of(trials(4000), QUESTION)
+    assert "(2 seen, single misses)" in text_of(trials(4000, 500, 3000))
+    assert "already holds" not in text_of(trials(4000), replace(by_default, boots=3))
 
 
 ADDED = "for the system measure on 5 boots or more"
 
 
 @pytest.mark.parametrize(
-    ("measured", "question", "said"),
+    ("measured", "question", "words"),
     [
         (trials(0), QUESTION, "3 688 more measurements (4 s) prove it if no miss comes"),
         (
@@ -101,13 +101,13 @@ ADDED = "for the system measure on 5 boots or more"
             "0 of 4 000 late; P(lateness > 400 us) at most 0.00093; at most 3 319 episodes of",
         ),
         (
-            trials(4000, 7, of=TWO),
+            trials(4000, 7, tolerance=TWO),
             TOLERANT,
             "0 of 3 998 windows hold too many misses; P(more than 2 in a row with jitter",
         ),
-        (trials(4000, 7, 8, 9, of=TWO), TOLERANT, "1 of 3 998 windows hold too many"),
+        (trials(4000, 7, 8, 9, tolerance=TWO), TOLERANT, "1 of 3 998 windows hold too many"),
         (
-            trials(4000, of=FEW),
+            trials(4000, tolerance=FEW),
             replace(TOLERANT, tolerance=FEW),
             "P(more than 3 of 100 with jitter > 400 us) at most 0.08",
         ),
@@ -119,9 +119,9 @@ ADDED = "for the system measure on 5 boots or more"
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_a_sentence(measured, question, said):
+def test_a_sentence(measured, question, words):
     text = "; ".join(sentences(judge(Account(measured, period_ns=PERIOD_NS), question)))
-    assert said in text, text
+    assert words in text, text
     for nonsense in (" 0 more", "(0 s)", "0 h)", "up to 1 misses"):
         assert nonsense not in text
 
@@ -141,7 +141,7 @@ def test_a_change_is_said_before_anything_else():
 
 
 @pytest.mark.parametrize(
-    ("measured", "said"),
+    ("measured", "words"),
     [
         (trials(4000), "in this boot, if late values come singly"),
         (
@@ -151,8 +151,8 @@ def test_a_change_is_said_before_anything_else():
         ),
     ],
 )
-def test_the_table_says_beside_the_answer_what_it_holds_for(measured, said):
-    assert scope_in_short(judge(Account(measured), QUESTION)) == said
+def test_the_table_says_beside_the_answer_what_it_holds_for(measured, words):
+    assert scope_in_short(judge(Account(measured), QUESTION)) == words
 
 
 def test_one_late_value_is_a_burst_where_the_period_is_as_long():
@@ -161,7 +161,7 @@ def test_one_late_value_is_a_burst_where_the_period_is_as_long():
 
 
 @pytest.mark.parametrize(
-    ("ratio", "said"),
+    ("ratio", "words"),
     [
         (Ratio(value=None, low=0, high=np.inf), "no miss on either side: nothing can be said of a change"),
         (Ratio(value=np.inf, low=0.66, high=np.inf), "misses in B only: times 0.66 at least (95 % CI)"),
@@ -170,8 +170,8 @@ def test_one_late_value_is_a_burst_where_the_period_is_as_long():
         (Ratio(value=2, low=0.66, high=np.inf), "times 2, 95 % CI 0.66 at least"),
     ],
 )
-def test_a_ratio_of_misses(ratio, said):
-    assert _ratio(ratio, 0.95) == said
+def test_a_ratio_of_misses(ratio, words):
+    assert _ratio(ratio, 0.95) == words
 
 
 def test_a_share_of_boots_and_their_number_are_inverse():

@@ -39,12 +39,12 @@ def test_it_is_left_out_and_nothing_of_it_vanishes(tmp_path):
     startup = verdict.startup
     assert verdict.n == 3 * (N - startup.loops) and 200 <= startup.loops <= N // 5
     assert (startup.late, startup.absent, startup.worst_ns) == (3 * LATE, 0, 3_100_000) and startup.p_value < 1e-3
-    assert group.n == 3 * N and max(one.figures.max_ns for one in group.digests) == 3_100_000
+    assert group.n == 3 * N and max(digest.figures.max_ns for digest in group.digests) == 3_100_000
 
 
 def test_every_format_reports_it(tmp_path, capsys):
     write(tmp_path, 3)
-    told = "loops of each run are left out (30 late, worst 3.1 ms; p = "
+    sentence = "loops of each run are left out (30 late, worst 3.1 ms; p = "
     xml = tmp_path.parent / "gate.xml"
     for words in (
         ["verdict", str(tmp_path), *WORDS],
@@ -53,10 +53,10 @@ def test_every_format_reports_it(tmp_path, capsys):
         ["report", str(tmp_path), *WORDS, "--format", "markdown", "--output", "-"],
     ):
         main(words)
-        assert told in " ".join(capsys.readouterr().out.split()), words
-    assert told in xml.read_text()
+        assert sentence in " ".join(capsys.readouterr().out.split()), words
+    assert sentence in xml.read_text()
     main(["report", str(tmp_path), *WORDS, "--format", "html", "--output", str(tmp_path.parent / "report.html")])
-    assert told in (tmp_path.parent / "report.html").read_text()
+    assert sentence in (tmp_path.parent / "report.html").read_text()
     capsys.readouterr()
     for words in (["report", "--format", "json", "--output", "-"], ["verdict", "--json"]):
         main([words[0], str(tmp_path), *WORDS, *words[1:]])
@@ -68,8 +68,8 @@ def test_a_gate_of_several_answers_names_it_beside_its_own(tmp_path, capsys):
     write(tmp_path, 3)
     oneshot_run(tmp_path, "b", latencies(N, 9), policy="FIFO")
     main(["gate", str(tmp_path), *WORDS])
-    told = [line for line in capsys.readouterr().out.splitlines() if "start-up" in line]
-    assert len(told) == 1 and "FIFO" not in told[0]
+    lines = [line for line in capsys.readouterr().out.splitlines() if "start-up" in line]
+    assert len(lines) == 1 and "FIFO" not in lines[0]
 
 
 def test_what_never_came_is_where_it_was(tmp_path):
@@ -103,7 +103,7 @@ def test_all_outputs_of_a_run_leave_out_as_many_loops(tmp_path):
         message_run(tmp_path, f"{number}", [values, values + 1000])
     (group,) = study(tmp_path, QUESTION).groups
     assert group.verdict.startup.late == 4 * LATE - 2 * 2  # the first message of each stands apart
-    assert len({one.startup.n for one in group.digests}) == 1
+    assert len({digest.startup.n for digest in group.digests}) == 1
 
 
 def test_a_file_alone_is_judged_without_it(tmp_path):
@@ -121,7 +121,7 @@ def test_boards_that_are_pooled_have_one_length(tmp_path):
     studied = study(tmp_path, QUESTION)
     (pooled,) = studied.pooled
     assert pooled.verdict.startup.late == 3 * LATE
-    assert {one.startup.n for one in pooled.digests} == {pooled.verdict.startup.loops}
+    assert {digest.startup.n for digest in pooled.digests} == {pooled.verdict.startup.loops}
     for group in studied.groups:
         assert group.verdict.startup is None or group.verdict.startup.loops == group.digests[0].startup.n
 

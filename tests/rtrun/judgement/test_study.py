@@ -87,11 +87,15 @@ def test_the_first_message_stands_apart_and_lost_ones_count(tmp_path):
     values[0] = 900_000
     message_run(tmp_path, "a", [values], lost=(5, 6, 7))
     group = only(tmp_path)
-    (one,) = group.digests
-    assert one.header.startup == (IndexedValue(value_ns=900_000, index=0),) and one.n == 996 and one.header.missing == 3
+    (digest,) = group.digests
+    assert (
+        digest.header.startup == (IndexedValue(value_ns=900_000, index=0),)
+        and digest.n == 996
+        and digest.header.missing == 3
+    )
     assert group.verdict is not None and (group.verdict.n, group.verdict.late, group.verdict.absent) == (999, 0, 3)
     assert "start-up apart: 1 late, worst 900 us" in verdict_line(group).text
-    assert one.figures.top[0].index is not None and one.figures.top[0].index > 0
+    assert digest.figures.top[0].index is not None and digest.figures.top[0].index > 0
 
 
 def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
@@ -100,7 +104,7 @@ def test_the_two_definitions_of_jitter_and_the_cluster(tmp_path):
     cyclic_run(tmp_path, "a", lateness)
     analysed = study(tmp_path, replace(THESIS, of="jitter"))
     (jitter,) = analysed.digests
-    grid = next(one for one in analysed.others if one.header.series == "grid")
+    grid = next(digest for digest in analysed.others if digest.header.series == "grid")
     assert jitter.cluster is not None and jitter.cluster.fraction == pytest.approx(1 / 8, abs=0.002)
     assert grid.cluster is not None and grid.cluster.fraction == pytest.approx(1 / 8, abs=0.002)
     assert grid.cluster.median_ns == pytest.approx(-810_000, abs=5000)
