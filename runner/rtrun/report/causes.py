@@ -63,24 +63,24 @@ REMEDY_FROM = 0.1
 _FAILED = (RunStatus.FAILED, RunStatus.INVALID)
 
 
-def periods(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]:
+def periods(source: Source, measure: Measure | None) -> tuple[Table, tuple[str, ...]]:
     """The periods of late values, a row for each output that has one, and why a run could not be searched.
 
-    `of` is the series of the values; None: the series of each run's traces.
+    `measure` is the series of the values; None: the series of each run's traces.
     """
-    found, refused = _search(source, partial(recurring, measure=of), without=_FAILED)
+    found, refused = _search(source, partial(recurring, measure=measure), without=_FAILED)
     rows = [
         (
-            one.run,
-            one.output,
-            str(one.recurrence.late),
-            _distance(one),
-            f"{one.recurrence.covered} of {one.recurrence.cycles}",
-            _chance(one.recurrence.p_value),
+            finding.run,
+            finding.output,
+            str(finding.recurrence.late),
+            _distance(finding),
+            f"{finding.recurrence.covered} of {finding.recurrence.cycles}",
+            _chance(finding.recurrence.p_value),
         )
-        for one in found
+        for finding in found
     ]
-    named = Counter(_distance(one) for one in found).most_common(1)
+    named = Counter(_distance(finding) for finding in found).most_common(1)
     return Table(
         id="periods",
         title="Late values that come at a period",
@@ -112,33 +112,33 @@ def _chance(p_value: float) -> str:
     return f"{p_value:.1g}" if p_value > 1e-99 else "below 1e-99"
 
 
-def _distance(one: Recurring) -> str:
-    period = one.recurrence.period
-    return f"{period:.3g} loops" if one.in_loops else f"{period / 1e9:.3g} s"
+def _distance(finding: Recurring) -> str:
+    period = finding.recurrence.period
+    return f"{period:.3g} loops" if finding.in_loops else f"{period / 1e9:.3g} s"
 
 
-def surroundings(source: Source, of: Measure | None) -> tuple[Table, tuple[str, ...]]:
+def surroundings(source: Source, measure: Measure | None) -> tuple[Table, tuple[str, ...]]:
     """What the sampler saw as unusual around the highest values, and why a run could not be searched.
 
-    `of` is the same as for `periods`.
+    `measure` is the same as for `periods`.
     """
-    found, refused = _search(source, partial(find_unusual, measure=of), without=_FAILED)
-    named = Counter(one.quantity for one in found).most_common(1)
+    found, refused = _search(source, partial(find_unusual, measure=measure), without=_FAILED)
+    named = Counter(finding.quantity for finding in found).most_common(1)
     return Table(
         id="surroundings",
         title="What else was unusual when the highest values came",
         columns=("run", "output", "quantity", "unit", "when highest", "otherwise", "p"),
         rows=[
             (
-                one.run,
-                one.output,
-                one.quantity,
-                one.unit,
-                f"{one.late:.4g}",
-                f"{one.otherwise:.4g}",
-                f"{one.p_value:.1g}",
+                finding.run,
+                finding.output,
+                finding.quantity,
+                finding.unit,
+                f"{finding.late:.4g}",
+                f"{finding.otherwise:.4g}",
+                f"{finding.p_value:.1g}",
             )
-            for one in found
+            for finding in found
         ],
         outcome=f"{named[0][0]}, in {counted(named[0][1], 'output')}" if named else "",
         numbers=range(4, 7),
@@ -175,8 +175,8 @@ def answer(ranking: Ranking) -> str:
             f"{_percent(named.total_ns, ranking.late_ns)} of their lateness{chance}"
         )
     if (kind := ranking.named_kind) is not None:
-        names = [one.name for one in ranking.culprits if one.kind is kind]
-        total_ns = sum(one.total_ns for one in ranking.culprits if one.kind is kind)
+        names = [culprit.name for culprit in ranking.culprits if culprit.kind is kind]
+        total_ns = sum(culprit.total_ns for culprit in ranking.culprits if culprit.kind is kind)
         more = f" and {len(names) - NAMES_MAX} more" if len(names) > NAMES_MAX else ""
         return printable(
             f"{kind}, none of them alone: the main cause of {ranking.main_by_kind[kind]} of {outliers}, "
@@ -191,7 +191,7 @@ def answer(ranking: Ranking) -> str:
 
 def _not_known(ranking: Ranking, first: Culprit) -> str:
     """The answer where no event explains most of the waiting time: what is known, what is not, and what would help."""
-    rest = next((one for one in ranking.culprits if one.kind not in NAMELESS), None)
+    rest = next((culprit for culprit in ranking.culprits if culprit.kind not in NAMELESS), None)
     known = f"{culprit_name(rest)}: {_percent(rest.total_ns, ranking.late_ns)} of all lateness; " if rest else ""
     why, help_ = _UNKNOWN_OUTSIDE if first.kind is Kind.OUTSIDE else _UNKNOWN.get(first.name, _UNKNOWN_OTHERWISE)
     outliers = counted(ranking.outliers, "traced outlier")
@@ -216,7 +216,7 @@ def _who(culprit: Culprit) -> str:
 
 def remedies(ranking: Ranking) -> Iterator[str]:
     """What to change about the first culprits, one sentence each, with its source."""
-    grave = [one for one in ranking.culprits if one.extra_ns >= REMEDY_FROM * ranking.late_ns]
+    grave = [culprit for culprit in ranking.culprits if culprit.extra_ns >= REMEDY_FROM * ranking.late_ns]
     names: dict[str, list[str]] = defaultdict(list)
     for culprit in grave:
         found = remedy(culprit.kind, culprit.name)
@@ -229,13 +229,13 @@ def remedies(ranking: Ranking) -> Iterator[str]:
 def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
     """The ranking of culprits; without rows where there are no traces."""
     listed = [
-        one
-        for one in ranking.culprits
-        if one.main or one.kind is Kind.UNEXPLAINED or one.total_ns >= LISTED_FROM * ranking.late_ns
+        culprit
+        for culprit in ranking.culprits
+        if culprit.main or culprit.kind is Kind.UNEXPLAINED or culprit.total_ns >= LISTED_FROM * ranking.late_ns
     ]
     others = len(ranking.culprits) - len(listed)
     nothing = (Kind.UNEXPLAINED.value, "", "", f"0 of {ranking.outliers}", "0", time(0), time(0), "-")
-    is_all_explained = ranking.outliers and all(one.kind is not Kind.UNEXPLAINED for one in listed)
+    is_all_explained = ranking.outliers and all(culprit.kind is not Kind.UNEXPLAINED for culprit in listed)
     return Table(
         id="causes",
         title="What late values waited for",
@@ -258,7 +258,7 @@ def table(ranking: Ranking, explained: Sequence[Explained]) -> Table:
         numbers=range(3, 8),
         notes=(
             *remedies(ranking),
-            *(printable(limit) for limit in dict.fromkeys(limit for one in explained for limit in one.limits)),
+            *(printable(limit) for limit in dict.fromkeys(limit for case in explained for limit in case.limits)),
             *without_trace(explained),
             *([f"{others} more took less than 1 % each"] if others else []),
         ),
@@ -273,19 +273,19 @@ def as_data(ranking: Ranking, explained: Sequence[Explained]) -> dict[str, Any]:
         "remedies": list(remedies(ranking)),
         "outliers": [
             {
-                **asdict(one.outlier),
-                "parts": [{**asdict(part.cause), "cpu": part.cpu, "length_ns": part.length_ns} for part in one.parts],
-                "steps": dict(one.steps),
-                "note": one.note,
+                **asdict(case.outlier),
+                "parts": [{**asdict(part.cause), "cpu": part.cpu, "length_ns": part.length_ns} for part in case.parts],
+                "steps": dict(case.steps),
+                "note": case.note,
             }
-            for one in explained
+            for case in explained
         ],
     }
 
 
 def step_table(explained: Sequence[Explained]) -> Table:
     """The steps of late messages over all outliers; without rows where no message was traced."""
-    chains = [one.steps for one in explained if one.steps]
+    chains = [case.steps for case in explained if case.steps]
     whole_ns = sum(sum(chain.values()) for chain in chains)
     lengths = {step: [chain[step] for chain in chains if step in chain] for step in Step}
     longest = max(Step, key=lambda step: sum(lengths[step]))
@@ -312,27 +312,27 @@ def step_table(explained: Sequence[Explained]) -> Table:
 def without_trace(explained: Iterable[Explained]) -> list[str]:
     """How many outliers have no parts, and why."""
     every = list(explained)
-    notes = [one.note for one in every if not one.parts]
-    said = [f"{counted(notes.count(note), 'outlier')} without parts: {note}" for note in dict.fromkeys(notes)]
+    notes = [case.note for case in every if not case.parts]
+    texts = [f"{counted(notes.count(note), 'outlier')} without parts: {note}" for note in dict.fromkeys(notes)]
     if 2 * len(notes) > len(every) > 1:
-        said.append(_RAISE)
-    return said
+        texts.append(_RAISE)
+    return texts
 
 
-def lines(one: Explained, *, every: bool = True) -> Iterator[str]:
+def lines(case: Explained, *, every: bool = True) -> Iterator[str]:
     """An outlier and the parts of its time, longest first, a line each; the parts add up to the value.
 
     Unless `every` part is wanted, the parts below `LISTED_FROM` of the value share one line.
     """
-    outlier = one.outlier
+    outlier = case.outlier
     at = f"{outlier.at_ns // 10**9}.{outlier.at_ns % 10**9 // 1000:06} s"
-    note = f"; {one.note}" if one.note else ""
+    note = f"; {case.note}" if case.note else ""
     where = f"{outlier.run} {outlier.output}, index {outlier.index}, at {at}"
     yield printable(f"{time(outlier.value_ns)} too late: {where}{note}")
-    if one.steps:
-        yield "  " + " > ".join(f"{step} {time(length_ns)}" for step, length_ns in one.steps.items())
+    if case.steps:
+        yield "  " + " > ".join(f"{step} {time(length_ns)}" for step, length_ns in case.steps.items())
     lengths: Counter[tuple[Cause, int | None]] = Counter()
-    for part in one.parts:
+    for part in case.parts:
         lengths[part.cause, part.cpu] += part.length_ns
     least_ns = 0 if every else LISTED_FROM * outlier.value_ns
     short_ns = [ns for (cause, _), ns in lengths.items() if ns < least_ns and cause.kind is not Kind.UNEXPLAINED]
@@ -344,13 +344,13 @@ def lines(one: Explained, *, every: bool = True) -> Iterator[str]:
         yield f"  {time(sum(short_ns)):>13}  {len(short_ns)} more, which took less than 1 % each"
     if all(cause.kind is not Kind.UNEXPLAINED for cause, _ in lengths):
         yield f"  {time(0):>13}  {Kind.UNEXPLAINED}"
-    for callback in one.callbacks:
+    for callback in case.callbacks:
         if callback.took_ns is not None and callback.took_ns < BESIDE_FROM * outlier.value_ns:
             continue
         begun = f"began {time(outlier.at_ns - callback.begin_ns)} before the value"
         took = f"took {time(callback.took_ns)}" if callback.took_ns is not None else "when it ended is not known"
         yield printable(f"  its thread was in a callback: {callback.name}, which {begun}, {took}")
-    for cpu, idle_ns in one.idle_ns.items():
+    for cpu, idle_ns in case.idle_ns.items():
         if idle_ns >= BESIDE_FROM * outlier.value_ns:
             why = "its affinity excludes it, or it was not moved there"
             yield f"  meanwhile CPU {cpu} was idle for {time(idle_ns)}: {why}"

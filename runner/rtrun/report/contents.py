@@ -56,23 +56,31 @@ class Contents:
 
 def contents(study: Study) -> Contents:
     """Put a study into words."""
-    made, pairs, found = scenarios(study), layer_pairs(study), causes.ranked(study.source)
+    shown, pairs, found = scenarios(study), layer_pairs(study), causes.ranked(study.source)
     topologies = measured_topologies(study)
     # Equal boards decide together whether enough was measured.
-    deciding = [one for one in made if one.group.key not in study.members or one.answer != Answer.NEEDS_MORE]
-    measured = [one for one in made if one.figures.max_ns is not None]
-    measured = [one for one in measured if one.group.question] or measured
+    deciding = [
+        scenario
+        for scenario in shown
+        if scenario.group.key not in study.members or scenario.answer != Answer.NEEDS_MORE
+    ]
+    measured = [scenario for scenario in shown if scenario.figures.max_ns is not None]
+    measured = [scenario for scenario in measured if scenario.group.question] or measured
     return Contents(
-        title=printable(_title(study, made)),
+        title=printable(_title(study, shown)),
         banner=banner_of(study.platform, preempt_rt=study.preempt_rt) or None,
         answer=_answer(study, deciding),
-        worst=max(measured, key=lambda one: one.figures.max_ns or 0, default=None),
-        missing=max((one for one in made if one.missing), key=lambda one: one.missing_share, default=None),
+        worst=max(measured, key=lambda scenario: scenario.figures.max_ns or 0, default=None),
+        missing=max(
+            (scenario for scenario in shown if scenario.missing),
+            key=lambda scenario: scenario.missing_share,
+            default=None,
+        ),
         why_late=causes.answer(found[0]) if found[1] else None,
         next_step=_next_step(deciding, study, found[0]),
         question=_question(study),
         facts=tuple(_facts(study)),
-        scenarios=made,
+        scenarios=shown,
         tables=sections(ReportInput(study=study, pairs=pairs, found=found, topologies=topologies)),
         stacks=stacks(pairs),
         topologies=topologies,
@@ -81,9 +89,11 @@ def contents(study: Study) -> Contents:
     )
 
 
-def _title(study: Study, made: Sequence[Scenario]) -> str:
+def _title(study: Study, shown: Sequence[Scenario]) -> str:
     """What was measured, in as many words as a browser tab shows."""
-    what = made[0].label if len(made) == 1 else f"{study.source.path.resolve().name}, {counted(len(made), 'scenario')}"
+    what = (
+        shown[0].label if len(shown) == 1 else f"{study.source.path.resolve().name}, {counted(len(shown), 'scenario')}"
+    )
     return f"{what}: real-time report"
 
 
@@ -94,55 +104,55 @@ def _question(study: Study) -> str:
     return f"Asked: {', '.join(filter(None, (study.asked_in_full, 'two-sided', asked.on_boots, asked.in_bursts)))}."
 
 
-def _answer(study: Study, made: Sequence[Scenario]) -> str:
+def _answer(study: Study, shown: Sequence[Scenario]) -> str:
     """The answer to the question in one sentence."""
-    counts = Counter(one.answer for one in made)
-    total = len(made) - counts[Answer.NO_DEADLINE]
+    counts = Counter(scenario.answer for scenario in shown)
+    total = len(shown) - counts[Answer.NO_DEADLINE]
     of_total = f" in {{}} of {total} scenarios" if total > 1 else ""
     known_ns = study.deadlines_ns
     deadline = f"the deadline of {time(known_ns[0])}" if len(known_ns) == 1 else "its deadline"
     hidden = f"; {len(study.left_out)} not analysed, see below" if study.left_out else ""
     asked = f"{hidden}. Asked: {study.asked_in_words}."
-    if made and not total:
+    if shown and not total:
         return (
-            f"Without a deadline there are figures and no answer, for {counted(len(made), 'scenario')}{hidden}: ask "
+            f"Without a deadline there are figures and no answer, for {counted(len(shown), 'scenario')}{hidden}: ask "
             "with --deadline TIME, as --deadline 1ms."
         )
-    if not made:
+    if not shown:
         return f"Nothing was measured that {deadline} could be held against{hidden}."
     if counts[Answer.REFUTED]:
-        failed = of_total.format(counts[Answer.REFUTED]) + _others(made, Answer.REFUTED)
+        failed = of_total.format(counts[Answer.REFUTED]) + _others(shown, Answer.REFUTED)
         return f"{deadline.capitalize()} is not met{failed}{asked}"
     if counts[Answer.PROVEN] + counts[Answer.IF_INDEPENDENT] == total:
         condition = ", unless late values come in bursts" if counts[Answer.IF_INDEPENDENT] else ""
         return (
             f"{deadline.capitalize()} is met in {_all(total)}{condition}: {study.asked_in_words}, "
-            f"{_for_which_boots(made)}{hidden}."
+            f"{_for_which_boots(shown)}{hidden}."
         )
     if counts[Answer.NO_STATEMENT] == total:
-        reasons = dict.fromkeys(one.group.verdict.refused or "" for one in made if one.group.verdict)
+        reasons = dict.fromkeys(scenario.group.verdict.refused or "" for scenario in shown if scenario.group.verdict)
         return f"No statement about {deadline} in any scenario: {'; '.join(reasons)}{hidden}."
-    open_ = of_total.format(counts[Answer.NEEDS_MORE]) + _others(made, Answer.NEEDS_MORE)
+    open_ = of_total.format(counts[Answer.NEEDS_MORE]) + _others(shown, Answer.NEEDS_MORE)
     undecided = f"t is not decided whether {deadline} is met{open_}{asked}"
-    changed = {verdict and verdict.change and verdict.change.what for verdict in _open(made)}
+    changed = {verdict and verdict.change and verdict.change.what for verdict in _open(shown)}
     why = changed.pop() if len(changed) == 1 else None
     return f"{why.capitalize()}, so i{undecided}" if why else f"I{undecided}"
 
 
-def _open(made: Sequence[Scenario]) -> list[Verdict | None]:
+def _open(shown: Sequence[Scenario]) -> list[Verdict | None]:
     """The verdicts that decide nothing; None where there is not even one."""
-    return [one.group.verdict for one in made if one.answer == Answer.NEEDS_MORE]
+    return [scenario.group.verdict for scenario in shown if scenario.answer == Answer.NEEDS_MORE]
 
 
-def _others(made: Sequence[Scenario], answer: Answer) -> str:
+def _others(shown: Sequence[Scenario], answer: Answer) -> str:
     """In how many scenarios there are other answers than this one."""
-    words = counts_in_words([one.answer for one in made if one.answer != answer])
+    words = counts_in_words([scenario.answer for scenario in shown if scenario.answer != answer])
     return f", {words}" if words else ""
 
 
-def _for_which_boots(made: Sequence[Scenario]) -> str:
+def _for_which_boots(shown: Sequence[Scenario]) -> str:
     """The boots that the proofs apply to: the weakest statement over all scenarios."""
-    verdicts = [one.group.verdict for one in made if one.group.verdict]
+    verdicts = [scenario.group.verdict for scenario in shown if scenario.group.verdict]
     if any(verdict.boots is None for verdict in verdicts):
         return "on boots that were not recorded"
     return boots_in_words(min(verdicts, key=lambda verdict: verdict.boots or 0))
@@ -152,16 +162,20 @@ def _all(total: int) -> str:
     return "the one scenario" if total == 1 else f"all {total} scenarios"
 
 
-def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str:
+def _next_step(shown: Sequence[Scenario], study: Study, culprits: Ranking) -> str:
     """What to do next: where values are late and traces name a cause, its remedy."""
-    answers = {one.answer for one in made}
+    answers = {scenario.answer for scenario in shown}
     if culprits.outliers and answers & {Answer.REFUTED, Answer.NEEDS_MORE, Answer.NO_DEADLINE}:
         advice = next(causes.remedies(culprits), "")
         return f"{causes.answer(culprits)}{f'. {advice}' if advice else ''}"
-    open_ = [verdict for one in made if (verdict := one.group.verdict) and verdict.answer is Answer.NEEDS_MORE]
-    bad = [verdict for one in made if (verdict := one.group.verdict) and is_likely_refuted(verdict)]
+    open_ = [
+        verdict for scenario in shown if (verdict := scenario.group.verdict) and verdict.answer is Answer.NEEDS_MORE
+    ]
+    bad = [verdict for scenario in shown if (verdict := scenario.group.verdict) and is_likely_refuted(verdict)]
     undecided = bad or [verdict for verdict in open_ if verdict.decided_after is None]
-    if undecided and all(one.absent > one.late and not is_of_periods(one.question.of) for one in undecided):
+    if undecided and all(
+        verdict.absent > verdict.late and not is_of_periods(verdict.question.of) for verdict in undecided
+    ):
         return "find out where values are lost: queues and their depth, quality of service, the network, a busy thread"
     if bad:
         return (
@@ -172,7 +186,7 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
         return MEASURE_AGAIN
     wanted = [(decided[1], verdict) for verdict in open_ if (decided := verdict.decided_after) and decided[1]]
     if wanted:
-        count, verdict = max(wanted, key=lambda each: each[0])
+        count, verdict = max(wanted, key=lambda pair: pair[0])
         decides = "are likely to decide it" if verdict.misses else "without a late one decide it"
         return f"measure more: {amount(verdict, count, 'measurements')} a scenario {decides}"
     if answers and answers <= {Answer.NO_STATEMENT}:
@@ -182,14 +196,14 @@ def _next_step(made: Sequence[Scenario], study: Study, culprits: Ranking) -> str
     if answers == {Answer.PROVEN}:
         option = " --platform virtual" if study.platform is Platform.VIRTUAL else ""
         gate = f"rtrun gate RESULTS{option} fails as soon as this no longer holds"
-        boots = min(one.group.verdict.boots_known for one in made if one.group.verdict)
+        boots = min(scenario.group.verdict.boots_known for scenario in shown if scenario.group.verdict)
         more = f"measure on {ENOUGH_BOOTS} boots or more, as boots differ; " if boots < ENOUGH_BOOTS else ""
         return f"{more}then keep it so: {gate}" if more else f"keep it so: {gate}"
     if answers and answers <= {Answer.PROVEN, Answer.IF_INDEPENDENT}:
         return "measure with samples, which show whether late values come in bursts; histograms and logs cannot"
     if answers == {Answer.NO_DEADLINE}:
         return "say which values are late: rtrun report RESULTS --deadline TIME"
-    return f"see {'what is missing in each scenario' if made else 'why it could not be analysed'}"
+    return f"see {'what is missing in each scenario' if shown else 'why it could not be analysed'}"
 
 
 def _facts(study: Study) -> list[tuple[str, str]]:
@@ -207,7 +221,7 @@ def _facts(study: Study) -> list[tuple[str, str]]:
     values = f"{measurements} values" + (f", {' to '.join(dict.fromkeys((days[0], days[-1])))}" if days else "")
     facts = [
         ("board", ", ".join(dict.fromkeys(target.name for target in targets))),
-        ("platform", ", ".join(dict.fromkeys(f"{one.platform}: {one.platform_evidence}" for one in study.records))),
+        ("platform", ", ".join(dict.fromkeys(f"{run.platform}: {run.platform_evidence}" for run in study.records))),
         ("kernel", ", ".join(dict.fromkeys(kernels))),
         ("real time", ", ".join(dict.fromkeys(real_time[target.preempt_rt] for target in targets))),
         ("CPUs", ", ".join(dict.fromkeys(str(target.cpus) for target in targets if target.cpus))),

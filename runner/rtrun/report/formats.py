@@ -30,12 +30,14 @@ def markdown(contents: Contents) -> str:
     parts += [f"# {_plain(contents.title)}", "", f"**{_plain(contents.answer)}**", "", contents.question, ""]
     parts += [f"- {what}: {_plain(value)}" for what, value in contents.facts]
     parts += ["", f"Next: {_plain(contents.next_step)}.", ""]
-    parts += [f"- **{one.answer}** {_plain(one.label)}: {_plain(one.text)}" for one in contents.scenarios]
+    parts += [
+        f"- **{scenario.answer}** {_plain(scenario.label)}: {_plain(scenario.text)}" for scenario in contents.scenarios
+    ]
     if contents.left_out:
         parts += ["", "Not analysed:", "", *(f"- {_plain(text)}" for text in contents.left_out)]
-    for one in contents.scenarios:
-        parts += ["", f"## {_plain(one.label)}"]
-        for table in one.tables:
+    for scenario in contents.scenarios:
+        parts += ["", f"## {_plain(scenario.label)}"]
+        for table in scenario.tables:
             parts += ["", f"### {table.title}", "", *_markdown_table(table)]
     for table in contents.tables:
         parts += ["", f"## {table.title}", "", f"{_plain(table.outcome)}.", "", *_markdown_table(table)]
@@ -84,22 +86,22 @@ def as_json(study: Study) -> str:
             }
             for group in study.answers
         ],
-        "series": [_series(one) for one in (*study.digests, *study.others)],
+        "series": [_series(digest) for digest in (*study.digests, *study.others)],
         "left_out": list(study.left_out),
     }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
-def _series(one: Digest) -> dict[str, Any]:
+def _series(digest: Digest) -> dict[str, Any]:
     return {
-        "run": one.run,
-        **identity(one.header),
-        "platform": one.header.platform,
-        "figures": as_data(one.figures),
-        "startup": as_data(one.header.startup),
-        "negative_cluster": as_data(one.cluster),
-        **lost(one.header),
-        "remarks": list(one.header.remarks),
+        "run": digest.run,
+        **identity(digest.header),
+        "platform": digest.header.platform,
+        "figures": as_data(digest.figures),
+        "startup": as_data(digest.header.startup),
+        "negative_cluster": as_data(digest.cluster),
+        **lost(digest.header),
+        "remarks": list(digest.header.remarks),
     }
 
 
@@ -132,11 +134,11 @@ def _xml(text: str) -> str:
 def lava(study: Study, gate: Gate) -> str:
     """In each line, the arguments for LAVA's `lava-test-case`: the gate's cases, and figures as measurements."""
     lines = [f"{_test_case(case.about)} --result {'pass' if case.passed else 'fail'}" for case in gate.cases]
-    for one in study.digests:
+    for digest in study.digests:
         lines += [
-            f"{_test_case(f'{one.run} {one.header.output} {name}')} --result pass --measurement {value / 1000:g} "
+            f"{_test_case(f'{digest.run} {digest.header.output} {name}')} --result pass --measurement {value / 1000:g} "
             "--units us"
-            for name, value in times_ns(one.figures).items()
+            for name, value in times_ns(digest.figures).items()
             if value is not None and name not in ("min", "mean", "std")
         ]
     return "".join(f"{line}\n" for line in lines)
@@ -150,20 +152,20 @@ def _test_case(text: str) -> str:
 def rows(study: Study) -> list[dict[str, Any]]:
     """The table as plain rows, one per series of an output, for CSV and Parquet. Times in us."""
     return [
-        {key: printable(value) if isinstance(value, str) else value for key, value in _plain_row(one).items()}
-        for one in (*study.digests, *study.others)
+        {key: printable(value) if isinstance(value, str) else value for key, value in _plain_row(digest).items()}
+        for digest in (*study.digests, *study.others)
     ]
 
 
-def _plain_row(one: Digest) -> dict[str, Any]:
-    header, parameters = one.header, one.header.parameters
+def _plain_row(digest: Digest) -> dict[str, Any]:
+    header, parameters = digest.header, digest.header.parameters
     return {
-        "run": one.run,
+        "run": digest.run,
         **{name: getattr(header, name) for name in ("suite", "output", "series")},
         **{key: None if parameters.get(key) is None else str(parameters[key]) for key in _PARAMETERS},
         "platform": header.platform,
-        "n": one.n,
-        **{f"{name}_us": us(value_ns) for name, value_ns in times_ns(one.figures).items()},
+        "n": digest.n,
+        **{f"{name}_us": us(value_ns) for name, value_ns in times_ns(digest.figures).items()},
         **lost(header),
     }
 

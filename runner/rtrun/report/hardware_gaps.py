@@ -40,8 +40,8 @@ def hardware_gaps(study: Study) -> Table:
 
 
 def _outcome(gaps: list[HardwareGaps]) -> str:
-    some = [each for each in gaps if each.found]
+    some = [run for run in gaps if run.found]
     if not some:
         return f"none found in {counted(len(gaps), 'run')}"
-    longest = time(1000 * max(each.longest_us for each in some))
+    longest = time(1000 * max(run.longest_us for run in some))
     return f"the longest {longest}, in {len(some)} of {counted(len(gaps), 'run')}"

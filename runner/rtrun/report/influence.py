@@ -21,8 +21,8 @@ def table(found: Sequence[Influence], confidence: float) -> Table:
     rows = []
     for alone in alone_of(found):
         rows.append((_path(alone), "nothing", str(alone.n), *(_alone(alone, figure) for figure in _FIGURES)))
-        beside = [one for one in found if one.alone.key == alone.key]
-        rows += [("", one.other_nodes, str(one.beside.n), *_cells(one)) for one in beside]
+        beside = [effect for effect in found if effect.alone.key == alone.key]
+        rows += [("", effect.other_nodes, str(effect.beside.n), *_cells(effect)) for effect in beside]
     return Table(
         id="influence",
         title="What independent nodes add",
@@ -33,7 +33,11 @@ def table(found: Sequence[Influence], confidence: float) -> Table:
         notes=(
             "Alone: the medians of the runs. Beside others: what that adds, ± half of its "
             f"{100 * confidence:g} % confidence interval. Periods that the first node skipped are in no n.",
-            *(dict.fromkeys(f"refused: {one.attribution.refused}" for one in found if one.attribution.refused)),
+            *(
+                dict.fromkeys(
+                    f"refused: {effect.attribution.refused}" for effect in found if effect.attribution.refused
+                )
+            ),
         ),
         how="comparison",
     )
@@ -56,8 +60,8 @@ def _middle(group: Group, figure: str, late_ns: int) -> float:
     return statistics.median(figure_of(run, figure, late_above_ns=late_ns) for run in group.blocks)
 
 
-def _cells(one: Influence) -> tuple[str, ...]:
-    added = {each.figure: each for each in one.attribution.added}
+def _cells(effect: Influence) -> tuple[str, ...]:
+    added = {part.figure: part for part in effect.attribution.added}
     return tuple(_cell(added[figure]) if figure in added else "-" for figure in _FIGURES)
 
 
@@ -72,14 +76,14 @@ def _cell(added: Added) -> str:
 
 def _outcome(found: Sequence[Influence]) -> str:
     """The other nodes that add most to a median beyond doubt."""
-    medians = [(one, each) for one in found for each in one.attribution.added if each.figure == "median"]
-    seen = [(one, each) for one, each in medians if each.low > 0]
+    medians = [(effect, added) for effect in found for added in effect.attribution.added if added.figure == "median"]
+    seen = [(effect, added) for effect, added in medians if added.low > 0]
     if not medians:
         return "too few runs to say what other nodes add"
     if not seen:
         return f"none of {counted(len(medians), 'comparison')} shows that other nodes add to a median"
-    one, most = max(seen, key=lambda pair: pair[1].added)
+    effect, most = max(seen, key=lambda pair: pair[1].added)
     return (
         f"{len(seen)} of {counted(len(medians), 'comparison')} show that other nodes add to the median; most is "
-        f"{signed(most.added)}, of {one.beside.parameters[OTHER_NODES]}"
+        f"{signed(most.added)}, of {effect.beside.parameters[OTHER_NODES]}"
     )

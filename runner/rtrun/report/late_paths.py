@@ -26,7 +26,7 @@ def late_paths(folders: Sequence[Path]) -> tuple[Table | None, tuple[str, ...]]:
     for folder in dict.fromkeys(folders):
         try:
             if (record := read_topology_record(folder)) is not None:
-                found += ((folder.name, one) for one in _of_run(folder, record))
+                found += ((folder.name, path) for path in _of_run(folder, record))
         except UsageError as error:
             refused.append(str(error))
     if not found:
@@ -34,14 +34,14 @@ def late_paths(folders: Sequence[Path]) -> tuple[Table | None, tuple[str, ...]]:
     rows = [
         (
             run if number == 0 else "",
-            f"{_name(one)}: {one.late} of {one.reactions} above {time(one.limit_ns)}" if number == 0 else "",
+            f"{_name(path)}: {path.late} of {path.reactions} above {time(path.limit_ns)}" if number == 0 else "",
             part.what,
             time(round(part.late_ns)),
-            time(round(part.otherwise_ns)) if one.late < one.reactions else "-",
-            f"{100 * one.share(part):.0f} %",
+            time(round(part.otherwise_ns)) if path.late < path.reactions else "-",
+            f"{100 * path.share(part):.0f} %",
         )
-        for run, one in found
-        for number, part in enumerate(_listed(one))
+        for run, path in found
+        for number, part in enumerate(_listed(path))
     ]
     return Table(
         id="late_paths",
@@ -65,7 +65,7 @@ def _of_run(folder: Path, record: TopologyRecord) -> list[LatePath]:
         for node in record.topology.nodes
         if node.deadline_ns
     )
-    return [one for one in found if one is not None and one.extra_ns > 0]
+    return [path for path in found if path is not None and path.extra_ns > 0]
 
 
 def run_of(folder: Path) -> Path:
@@ -75,17 +75,17 @@ def run_of(folder: Path) -> Path:
     return run if (run / FILE).is_file() else folder
 
 
-def _name(one: LatePath) -> str:
-    return f"{one.path.name} -> {one.path.sink}" if one.path.topics else f"response of {one.path.sink}"
+def _name(found: LatePath) -> str:
+    return f"{found.path.name} -> {found.path.sink}" if found.path.topics else f"response of {found.path.sink}"
 
 
-def _listed(one: LatePath) -> list[PathPart]:
-    return [part for part in one.parts if one.share(part) >= LISTED_FROM]
+def _listed(path: LatePath) -> list[PathPart]:
+    return [part for part in path.parts if path.share(part) >= LISTED_FROM]
 
 
 def _outcome(found: Sequence[tuple[str, LatePath]]) -> str:
     """The part that contributed most to late reactions, in one sentence."""
-    worst = max((one for _, one in found), key=lambda one: one.parts[0].extra_ns)
+    worst = max((path for _, path in found), key=lambda path: path.parts[0].extra_ns)
     part = worst.parts[0]
     more = f"{time(round(part.extra_ns))} more than otherwise"
     return f"{part.what}: {more}, {100 * worst.share(part):.0f} % of what made {_name(worst)} late"

@@ -33,7 +33,7 @@ def table(pairs: Sequence[LayerPair], confidence: float) -> Table:
 
 
 def _row(pair: LayerPair) -> tuple[str, ...]:
-    added = {each.figure: each for each in pair.attribution.added}
+    added = {part.figure: part for part in pair.attribution.added}
     how = f"refused: {pair.attribution.refused}" if pair.attribution.refused else pair.attribution.added[0].method
     cells = (_cell(added[figure]) if figure in added else "-" for figure in _FIGURES)
     return (pair.below.label, pair.above.label, *cells, how)
@@ -69,7 +69,7 @@ def stacks(pairs: Sequence[LayerPair]) -> tuple[tuple[LayerBar, ...], ...]:
 
 
 def _bar(pair: LayerPair) -> LayerBar:
-    (mean,) = (each for each in pair.attribution.added if each.figure == "mean")
+    (mean,) = (part for part in pair.attribution.added if part.figure == "mean")
     return LayerBar(
         label=pair.above.label,
         short=_short(pair.above),

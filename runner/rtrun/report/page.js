@@ -17,7 +17,7 @@ function applyFilter() {
 function openTarget() {
   const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
   if (!target) return;
-  for (let one = target.closest("details"); one; one = one.parentElement.closest("details")) one.open = true;
+  for (let details = target.closest("details"); details; details = details.parentElement.closest("details")) details.open = true;
   const card = target.closest("details.card[data-suite]");
   document.title = card ? `${card.querySelector(".name").textContent} – ${title}` : title;
   target.scrollIntoView();

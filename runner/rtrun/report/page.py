@@ -44,7 +44,7 @@ def html(study: Study, contents: Contents) -> str:
         contents=contents,
         cards=cards,
         stacks={layers.TABLE: stacked(contents.stacks)},
-        graphs=[drawn_topology(of) for of in contents.topologies],
+        graphs=[drawn_topology(topology) for topology in contents.topologies],
         failed=sum(card["style"] == "refuted" for card in cards),
         opened=_OPENED,
         choices={key: values for key, values in choices.items() if len(values) > 1},
@@ -74,14 +74,14 @@ def _overview(cards: list[dict[str, Any]]) -> dict[str, Any] | None:
 
     rows = []
     for card in measured:
-        told = _pictured_ns(card)
+        pictured = _pictured_ns(card)
         rows.append(
             {
                 "card": card,
-                "at": {name: at(value) for name, value in told.items()},
-                "below": told["min"] is not None and told["min"] < axis.scale.low,
+                "at": {name: at(value) for name, value in pictured.items()},
+                "below": pictured["min"] is not None and pictured["min"] < axis.scale.low,
                 "deadline": at(_deadline_ns(card)),
-                "told": ", ".join(f"{name.replace('p9999', 'p99.99')} {time(ns)}" for name, ns in told.items()),
+                "tooltip": ", ".join(f"{name.replace('p9999', 'p99.99')} {time(ns)}" for name, ns in pictured.items()),
             }
         )
     deadlines = {_deadline_ns(card) for card in measured} - {None}

@@ -26,15 +26,15 @@ Slice = tuple[int, int, str]
 def perfetto(explained: Iterable[Explained]) -> bytes:
     """The trace: for each run a track with its measured values, one with their parts, and one per CPU."""
     tracks: dict[str, dict[str, list[Slice]]] = {}
-    for one in explained:
-        outlier = one.outlier
+    for case in explained:
+        outlier = case.outlier
         of_run = tracks.setdefault(f"{outlier.run} {outlier.output}", {})
         name = f"index {outlier.index}: {time(outlier.value_ns)} late"
         of_run.setdefault("measured values", []).append((outlier.due_ns, outlier.at_ns, name))
-        for part in one.parts:
+        for part in case.parts:
             words = f"{part.cause.kind} {part.cause.name}".strip()
             of_run.setdefault("what they waited for", []).append((part.begin_ns, part.end_ns, words))
-        for cpu, spans in one.around.items():
+        for cpu, spans in case.around.items():
             on_cpu = of_run.setdefault(f"CPU {cpu}", [])
             for span in spans:
                 if (who := span.occupant) is not None:

@@ -12,20 +12,20 @@ function time(ns) {
   return `${Number(text) === ns / divisor ? Number(text) : text} ${unit}`;
 }
 
-function told(value, { unit }) {
+function inUnit(value, { unit }) {
   if (unit === "ns") return time(value);
   if (unit === "date") return new Date(1000 * value).toISOString().slice(0, 16).replace("T", " ");
   return unit === "share" ? String(Number(value.toPrecision(3))) : String(Math.round(value)).replace(/\B(?=(\d{3})+$)/g, " ");
 }
 
 const data = (figure) => figure.data ??= JSON.parse(figure.querySelector("script").textContent);
-const between = (edges, k, axis) => `${told(edges[k], axis)} to ${told(edges[k + 1], axis)}`;
+const between = (edges, k, axis) => `${inUnit(edges[k], axis)} to ${inUnit(edges[k + 1], axis)}`;
 
 function underCell({ x, y, cells }, across, up) {
   const column = Math.min(cells.counts[0].length - 1, Math.floor(across * cells.counts[0].length));
   const row = cells.places.findIndex((place, k) => place <= up && up < (cells.places[k + 1] ?? 2));
   const counts = cells.counts[Math.min(Math.max(row, 0), cells.counts.length - 1)];
-  const along = x.unit === "count" && cells.x[1] - cells.x[0] === 1 ? told(cells.x[column] + 0.5, x) : between(cells.x, column, x);
+  const along = x.unit === "count" && cells.x[1] - cells.x[0] === 1 ? inUnit(cells.x[column] + 0.5, x) : between(cells.x, column, x);
   return `${counts[column]} of ${between(cells.y, Math.min(Math.max(row, 0), cells.counts.length - 1), y)}, ${x.title} ${along}`;
 }
 
@@ -42,8 +42,8 @@ function underLine(figure, { x, y, marks }, across, up, box) {
   });
   const { mark, point } = best;
   if (!mark) return "";
-  const value = mark.low ? `${told(mark.low[point], y)} to ${told(mark.y[point], y)}` : told(mark.y[point], y);
-  return `${mark.name}: ${y.title} ${value}, ${x.title} ${told(mark.x[point], x)}`;
+  const value = mark.low ? `${inUnit(mark.low[point], y)} to ${inUnit(mark.y[point], y)}` : inUnit(mark.y[point], y);
+  return `${mark.name}: ${y.title} ${value}, ${x.title} ${inUnit(mark.x[point], x)}`;
 }
 
 function point(event) {
@@ -51,8 +51,8 @@ function point(event) {
   for (const tip of document.querySelectorAll(".tip:not([hidden])")) if (tip.parentNode !== frame) tip.hidden = true;
   if (!frame) return;
   const figure = frame.closest("figure"), tip = frame.querySelector(".tip"), box = frame.getBoundingClientRect();
-  const across = (event.clientX - box.left) / box.width, up = 1 - (event.clientY - box.top) / box.height, of = data(figure);
-  tip.textContent = of.cells ? underCell(of, across, up) : underLine(figure, of, across, up, box);
+  const across = (event.clientX - box.left) / box.width, up = 1 - (event.clientY - box.top) / box.height, plot = data(figure);
+  tip.textContent = plot.cells ? underCell(plot, across, up) : underLine(figure, plot, across, up, box);
   tip.hidden = !tip.textContent;
   tip.style.left = across < 0.5 ? `calc(${100 * across}% + 12px)` : "";
   tip.style.right = across < 0.5 ? "" : `calc(${100 * (1 - across)}% + 12px)`;

@@ -22,7 +22,7 @@ def ranking(study: Study) -> Table:
     """A row for each middleware of each comparison; none for a single middleware, or for an emulated board's times."""
     groups = () if study.platform is Platform.EMULATED else study.groups
     compared = [[*map(_ranked, alike)] for alike in _alike_but_for_the_middleware(groups) if len(alike) > 1]
-    rows = [_row(place, one) for alike in compared for place, one in enumerate(sorted(alike, key=_rank), start=1)]
+    rows = [_row(place, ranked) for alike in compared for place, ranked in enumerate(sorted(alike, key=_rank), start=1)]
     return Table(
         id="ranking",
         title="Middlewares ranked",
@@ -67,19 +67,19 @@ def _ranked(judged: tuple[Group, Verdict]) -> _Ranked:
     return _Ranked(group=group, verdict=verdict, answer=answer, figures=figures)
 
 
-def _rank(one: _Ranked) -> tuple[float, ...]:
-    p99_ns = one.figures.percentiles_ns.get(99.0)
-    return (-severity(one.answer, None)[0], one.verdict.upper, float("inf") if p99_ns is None else p99_ns)
+def _rank(ranked: _Ranked) -> tuple[float, ...]:
+    p99_ns = ranked.figures.percentiles_ns.get(99.0)
+    return (-severity(ranked.answer, None)[0], ranked.verdict.upper, float("inf") if p99_ns is None else p99_ns)
 
 
-def _row(place: int, one: _Ranked) -> tuple[str, ...]:
-    times = times_ns(one.figures)
+def _row(place: int, ranked: _Ranked) -> tuple[str, ...]:
+    times = times_ns(ranked.figures)
     return (
-        _what(one.group) if place == 1 else "",
+        _what(ranked.group) if place == 1 else "",
         str(place),
-        middleware_of(one.group.suite, one.group.parameters),
-        one.answer,
-        f"{grouped(one.verdict.misses)} of {grouped(one.verdict.n)}",
-        rounded_up(one.verdict.upper),
+        middleware_of(ranked.group.suite, ranked.group.parameters),
+        ranked.answer,
+        f"{grouped(ranked.verdict.misses)} of {grouped(ranked.verdict.n)}",
+        rounded_up(ranked.verdict.upper),
         *(time(times[name]) for name in ("max", "p99.99", "p99", "p50")),
     )

@@ -24,8 +24,8 @@ def allocations(study: Study) -> Table:
             if costs is None or costs.allocations is None:
                 continue
             counts = (costs.allocations, costs.frees, costs.allocations_of_measuring_thread, costs.page_faults)
-            each = f"{costs.allocations / loops:.3g}" if loops else "-"
-            rows.append((record.run, program.name, *("-" if one is None else str(one) for one in counts), each))
+            rate = f"{costs.allocations / loops:.3g}" if loops else "-"
+            rows.append((record.run, program.name, *("-" if count is None else str(count) for count in counts), rate))
     some = sum(row[2] != "0" for row in rows)
     columns = ("run", "program", "allocations", "frees", "in the measuring thread", "page faults", "allocations a loop")
     notes = (
@@ -48,22 +48,22 @@ def environment_table(study: Study) -> Table:
     """The machine that the runs were measured on, and the settings in effect."""
     rows = [(key.replace("_", " "), value) for key, value in environment(study.records)]
     seen: dict[str, dict[str, None]] = {}
-    for one in study.digests:
-        effect = one.header.in_effect
+    for digest in study.digests:
+        effect = digest.header.in_effect
         if effect:
             policies = {
                 f"{thread.policy} {thread.priority}": None
                 for thread in effect.threads
                 if thread.name not in NON_MEASURING_THREADS
             }
-            asked = str(one.header.parameters.get("policy", "0"))
+            asked = str(digest.header.parameters.get("policy", "0"))
             seen.setdefault(f"threads in effect, policy {asked} asked for", {}).update(policies)
-            told = {
+            settings = {
                 "clock": effect.clock,
                 "step of the clock": effect.clock_step_ns and time(effect.clock_step_ns),
                 "memory is locked (mlockall)": effect.mlockall,
             }
-            for key, value in told.items():
+            for key, value in settings.items():
                 if value is not None:
                     seen.setdefault(key, {})[in_word(value)] = None
     rows += [(key, "; ".join(sorted(values))) for key, values in seen.items()]
@@ -84,10 +84,10 @@ def reproduce(study: Study) -> Table:
             rows.append(("measured", f"{record.run}{f' and {others - 1} like it' if others > 1 else ''}: {lines}"))
     digest = fingerprint(study)
     asked = study.question
-    of = f" --of {asked.of}" if asked.of else ""
+    measure = f" --of {asked.of}" if asked.of else ""
     tolerate = f" --tolerate '{asked.tolerance}'" if asked.tolerance != NONE_TOLERATED else ""
     deadline = f" --deadline {time_text(asked.deadline_ns)}" if asked.deadline_ns else ""
-    command = f"rtrun report RESULTS{of}{tolerate}{deadline}"
+    command = f"rtrun report RESULTS{measure}{tolerate}{deadline}"
     rows.append(("examined", f"{command} --probability {asked.probability!r} --confidence {asked.confidence!r}"))
     rows.append(("input", f"sha256 {digest} of all closing records"))
     rows.append(("seed", "20140715 for every resampling"))

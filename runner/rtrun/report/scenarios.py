@@ -56,7 +56,7 @@ class Scenario:
         """The share of its values that never came, or were skipped."""
         if (verdict := self.group.verdict) is not None:
             return verdict.absent / verdict.n if verdict.n else 0.0
-        missing = sum(one.header.missing for one in self.group.digests)
+        missing = sum(digest.header.missing for digest in self.group.digests)
         return missing / (self.group.n + missing) if missing else 0.0
 
     @property
@@ -72,14 +72,14 @@ class Scenario:
 
 def scenarios(study: Study) -> tuple[Scenario, ...]:
     """Every group of a study, and equal boards together; the worst answers first, then the highest values."""
-    made = [_scenario(group, label, study) for group, label in zip(study.answers, _labels(study), strict=True)]
-    made.sort(key=lambda one: severity(one.answer, one.figures.max_ns))
+    shown = [_scenario(group, label, study) for group, label in zip(study.answers, _labels(study), strict=True)]
+    shown.sort(key=lambda scenario: severity(scenario.answer, scenario.figures.max_ns))
     seen: Counter[str] = Counter()
-    for place, one in enumerate(made):
-        seen[one.id] += 1
-        if seen[one.id] > 1:
-            made[place] = replace(one, id=f"{one.id}--{seen[one.id]}")
-    return tuple(made)
+    for place, scenario in enumerate(shown):
+        seen[scenario.id] += 1
+        if seen[scenario.id] > 1:
+            shown[place] = replace(scenario, id=f"{scenario.id}--{seen[scenario.id]}")
+    return tuple(shown)
 
 
 def _labels(study: Study) -> list[str]:
@@ -97,8 +97,8 @@ def _labels(study: Study) -> list[str]:
 
 def _scenario(group: Group, label: str, study: Study) -> Scenario:
     line = verdict_line(group)
-    outputs = {(one.run, one.header.output) for one in group.digests}
-    others = [one for one in study.others if (one.run, one.header.output) in outputs]
+    outputs = {(digest.run, digest.header.output) for digest in group.digests}
+    others = [digest for digest in study.others if (digest.run, digest.header.output) in outputs]
     every = [*group.digests, *others]
     return Scenario(
         id=re.sub("[^a-z0-9]+", "-", label.lower()).strip("-") or "scenario",
@@ -118,11 +118,11 @@ def _scenario(group: Group, label: str, study: Study) -> Scenario:
 def _figures(every: Sequence[Digest]) -> Table:
     """A row for each series, with its outputs as parts of the row. Losses are shown only where there were some."""
     losses = {**LOST, "skipped": "skipped"}
-    lost = {name: losses[name] for name in losses if any(getattr(one.header, name) for one in every)}
+    lost = {name: losses[name] for name in losses if any(getattr(digest.header, name) for digest in every)}
     labels = output_labels(every)
     by_series: dict[str, list[int]] = {}
-    for place, one in enumerate(every):
-        by_series.setdefault(one.header.series, []).append(place)
+    for place, digest in enumerate(every):
+        by_series.setdefault(digest.header.series, []).append(place)
 
     def row(name: str, series: str, figures: Figures, places: Sequence[int]) -> tuple[str, ...]:
         times = times_ns(figures)
@@ -137,15 +137,15 @@ def _figures(every: Sequence[Digest]) -> Table:
             parts[len(rows)] = tuple(row(labels[k], series, every[k].figures, [k]) for k in places)
         rows.append(row(_pool_label(members), series, pool_figures(members), places))
     notes = []
-    if any(one.header.startup for one in every):
+    if any(digest.header.startup for digest in every):
         notes.append("Start-up values (the first message, the first two periods) are in no figure: see below.")
-    if any(0 < one.n < 100_000 for one in every):
+    if any(0 < digest.n < 100_000 for digest in every):
         notes.append("A percentile of fewer values than it needs is their maximum.")
     if parts:
         notes.append("Percentiles of several outputs together are accurate to the width of a bin, 1 us.")
-    if any(one.header.series == MEASURED_2014 for one in every):
+    if any(digest.header.series == MEASURED_2014 for digest in every):
         notes.append(NOTE_2014)
-    notes += [f"{one.header.output}: {remark}" for one in every for remark in one.header.remarks]
+    notes += [f"{digest.header.output}: {remark}" for digest in every for remark in digest.header.remarks]
     return Table(
         id="figures",
         title="Figures",
@@ -160,21 +160,21 @@ def _figures(every: Sequence[Digest]) -> Table:
 
 def output_labels(digests: Sequence[Digest]) -> list[str]:
     """Labels that distinguish these outputs: runs, numbers of subscribers, names of outputs, or a combination."""
-    runs = {one.run for one in digests}
-    series = Counter((one.run, one.header.series) for one in digests)
+    runs = {digest.run for digest in digests}
+    series = Counter((digest.run, digest.header.series) for digest in digests)
     if max(series.values(), default=0) < 2:
-        return [one.run for one in digests]
+        return [digest.run for digest in digests]
     labels, seen = [], Counter[tuple[str, str]]()
-    for one in digests:
-        seen[one.run, one.header.series] += 1
-        number = seen[one.run, one.header.series]
-        label = f"subscriber {number}" if "subscribers" in one.header.parameters else one.header.output
-        labels.append(label if len(runs) == 1 else f"{one.run} {label}")
+    for digest in digests:
+        seen[digest.run, digest.header.series] += 1
+        number = seen[digest.run, digest.header.series]
+        label = f"subscriber {number}" if "subscribers" in digest.header.parameters else digest.header.output
+        labels.append(label if len(runs) == 1 else f"{digest.run} {label}")
     return labels
 
 
 def _pool_label(members: Sequence[Digest]) -> str:
-    runs = dict.fromkeys(one.run for one in members)
+    runs = dict.fromkeys(digest.run for digest in members)
     if len(members) == 1:
         return members[0].run
     what = "subscribers" if "subscribers" in members[0].header.parameters else "outputs"
@@ -187,23 +187,27 @@ def _pool_label(members: Sequence[Digest]) -> str:
 def _startup(every: Sequence[Digest]) -> Table:
     """A row for each series with the highest start-up value; the outputs are parts of the row."""
     by_series: dict[str, list[tuple[str, Digest]]] = {}
-    for label, one in zip(output_labels(every), every, strict=True):
-        if one.header.startup:
-            by_series.setdefault(one.header.series, []).append((label, one))
+    for label, digest in zip(output_labels(every), every, strict=True):
+        if digest.header.startup:
+            by_series.setdefault(digest.header.series, []).append((label, digest))
     rows: list[tuple[str, ...]] = []
     parts = {}
     for series, members in by_series.items():
-        each = tuple(
-            (label, series, ", ".join(f"{time(v.value_ns)} (loop {v.index})" for v in one.header.startup))
-            for label, one in members
+        outputs = tuple(
+            (label, series, ", ".join(f"{time(v.value_ns)} (loop {v.index})" for v in digest.header.startup))
+            for label, digest in members
         )
-        if len(each) == 1:
-            rows.append(each[0])
+        if len(outputs) == 1:
+            rows.append(outputs[0])
             continue
-        parts[len(rows)] = each
-        values_ns = [value.value_ns for _, one in members for value in one.header.startup]
+        parts[len(rows)] = outputs
+        values_ns = [value.value_ns for _, digest in members for value in digest.header.startup]
         rows.append(
-            (_pool_label([one for _, one in members]), series, f"{time(min(values_ns))} to {time(max(values_ns))}")
+            (
+                _pool_label([digest for _, digest in members]),
+                series,
+                f"{time(min(values_ns))} to {time(max(values_ns))}",
+            )
         )
     return Table(
         id="startup", title="Start-up", columns=("run", "series", "values"), rows=rows, parts=parts, numbers=range(2, 3)
@@ -212,11 +216,11 @@ def _startup(every: Sequence[Digest]) -> Table:
 
 def _clusters(every: Sequence[Digest]) -> Table:
     rows = []
-    for one in every:
-        if one.cluster is not None and one.cluster.n:
-            c = one.cluster
+    for digest in every:
+        if digest.cluster is not None and digest.cluster.n:
+            c = digest.cluster
             place = [time(value) for value in (c.median_ns, c.low_ns, c.high_ns)]
-            rows.append((one.run, CLUSTERED[one.header.series], f"{100 * c.fraction:.3f}", *place))
+            rows.append((digest.run, CLUSTERED[digest.header.series], f"{100 * c.fraction:.3f}", *place))
     columns = ("run", "jitter", "share %", "median", "lowest", "highest")
     return Table(
         id="cluster", title="Negative cluster (below -500 us)", columns=columns, rows=rows, numbers=range(2, 6)

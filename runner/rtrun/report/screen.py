@@ -55,8 +55,8 @@ def print_answers(cases: Sequence[Case], *, verbose: bool) -> None:
                 lines.setdefault(text, []).append(case.about)
     if lines:
         print_line()
-    for text, of in lines.items():
-        about = f"{len(of)} scenarios: " if len(of) > 1 else "".join(f"{name}: " for name in of)
+    for text, names in lines.items():
+        about = f"{len(names)} scenarios: " if len(names) > 1 else "".join(f"{name}: " for name in names)
         print_line(f"{about}{text}")
 
 

@@ -34,41 +34,41 @@ class ReportInput:
         return self.study.question.of or LATENESS
 
 
-def _culprits(of: ReportInput) -> Table:
-    ranked, explained, refused = of.found
+def _culprits(inputs: ReportInput) -> Table:
+    ranked, explained, refused = inputs.found
     table = causes.table(ranked, explained)
-    return replace(table, notes=(*table.notes, *thresholds(of.study.records, of.judged), *refused))
+    return replace(table, notes=(*table.notes, *thresholds(inputs.study.records, inputs.judged), *refused))
 
 
-def _late_paths(of: ReportInput) -> Table | None:
-    return late_paths(of.study.source.folders)[0] if of.topologies else None
+def _late_paths(inputs: ReportInput) -> Table | None:
+    return late_paths(inputs.study.source.folders)[0] if inputs.topologies else None
 
 
-def _influence(of: ReportInput) -> Table | None:
-    return influence.table(influences(of.study), of.study.question.confidence) if of.topologies else None
+def _influence(inputs: ReportInput) -> Table | None:
+    return influence.table(influences(inputs.study), inputs.study.question.confidence) if inputs.topologies else None
 
 
 SECTIONS: tuple[Callable[[ReportInput], Table | None], ...] = (
     _culprits,
-    lambda of: causes.step_table(of.found[1]),
-    lambda of: tracing_cost(of.study),
-    lambda of: hop_table(of.topologies),
-    lambda of: bound_table(of.topologies),
+    lambda inputs: causes.step_table(inputs.found[1]),
+    lambda inputs: tracing_cost(inputs.study),
+    lambda inputs: hop_table(inputs.topologies),
+    lambda inputs: bound_table(inputs.topologies),
     _late_paths,
     _influence,
-    lambda of: causes.periods(of.study.source, of.judged)[0],
-    lambda of: causes.surroundings(of.study.source, of.judged)[0],
-    lambda of: hardware_gaps(of.study),
-    lambda of: worst_cases(of.study),
-    lambda of: ranking(of.study),
-    lambda of: layers.table(of.pairs, of.study.question.confidence),
-    lambda of: allocations(of.study),
-    lambda of: environment_table(of.study),
-    lambda of: reproduce(of.study),
+    lambda inputs: causes.periods(inputs.study.source, inputs.judged)[0],
+    lambda inputs: causes.surroundings(inputs.study.source, inputs.judged)[0],
+    lambda inputs: hardware_gaps(inputs.study),
+    lambda inputs: worst_cases(inputs.study),
+    lambda inputs: ranking(inputs.study),
+    lambda inputs: layers.table(inputs.pairs, inputs.study.question.confidence),
+    lambda inputs: allocations(inputs.study),
+    lambda inputs: environment_table(inputs.study),
+    lambda inputs: reproduce(inputs.study),
 )
 
 
-def sections(of: ReportInput) -> tuple[Table, ...]:
+def sections(inputs: ReportInput) -> tuple[Table, ...]:
     """The tables that have rows."""
-    tables = (section(of) for section in SECTIONS)
+    tables = (section(inputs) for section in SECTIONS)
     return tuple(printable_table(table) for table in tables if table is not None and table.rows)

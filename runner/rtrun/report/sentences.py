@@ -19,12 +19,12 @@ from rtrun.report.scenarios import Scenario
 from rtrun.report.tables import Table
 
 
-def headline(study: Study, made: Sequence[Scenario]) -> str:
+def headline(study: Study, shown: Sequence[Scenario]) -> str:
     """Where the deadline was missed, and on what kind of machine."""
-    judged = [one for one in made if one.group.verdict]
+    judged = [scenario for scenario in shown if scenario.group.verdict]
     if not judged:
         return "Nothing was measured that counts."
-    missed = sum(bool(one.group.verdict and one.group.verdict.misses) for one in judged)
+    missed = sum(bool(scenario.group.verdict and scenario.group.verdict.misses) for scenario in judged)
     tests = counted(len(judged), "test")
     deadline = time(study.deadlines_ns[0]) if len(study.deadlines_ns) == 1 else "A deadline"
     which = "never missed in" if not missed else "missed at least once in"
@@ -41,18 +41,18 @@ def _where(study: Study) -> str:
     return f"on {machine}{kernel}"
 
 
-def lines(study: Study, made: Sequence[Scenario]) -> Table:
+def lines(study: Study, shown: Sequence[Scenario]) -> Table:
     """A line for each scenario with a deadline: its short name, how many were late, and what follows from that."""
     rows = []
-    refusals = {one.group.verdict.refused if one.group.verdict else None for one in made}
+    refusals = {scenario.group.verdict.refused if scenario.group.verdict else None for scenario in shown}
     # The headline has a reason that applies to all.
-    said = f", {refusals.pop()}" if len(made) > 1 and len(refusals) == 1 else ""
-    for one in made:
-        text = sentence(one)
-        if one.group.key in study.members and one.answer == Answer.NEEDS_MORE:
+    common = f", {refusals.pop()}" if len(shown) > 1 and len(refusals) == 1 else ""
+    for scenario in shown:
+        text = sentence(scenario)
+        if scenario.group.key in study.members and scenario.answer == Answer.NEEDS_MORE:
             # All boards together are decided, or say what is missing.
             text = f"{text.partition(';')[0]}; judged together with the other boards"
-        rows.append((study.short_name(one.group), text.removesuffix(said)))
+        rows.append((study.short_name(scenario.group), text.removesuffix(common)))
     return Table(columns=("", ""), rows=rows)
 
 

@@ -94,7 +94,7 @@ class Table:
             first = 0 if missing.get(0, 0) + widths.get(0, 0) <= width / 3 else None
             while spare > 0 and any(missing.values()):
                 lacking = (place for place, lack in missing.items() if lack)
-                place = min(lacking, key=lambda each: (each in self.numbers, each != first, -missing[each]))
+                place = min(lacking, key=lambda column: (column in self.numbers, column != first, -missing[column]))
                 widths[place], missing[place], spare = widths[place] + 1, missing[place] - 1, spare - 1
         return bands
 

@@ -11,7 +11,7 @@ from rtrun.report.tables import Table
 
 def hop_table(measured: Sequence[MeasuredTopology]) -> Table:
     """A row for each topic at each node that receives it: what became of every message that was sent."""
-    hops = [(of.label, hop) for of in measured for hop in of.hops]
+    hops = [(topology.label, hop) for topology in measured for hop in topology.hops]
     lost = sum(sum(hop.lost.values()) for _, hop in hops)
     return Table(
         id="hops",
@@ -43,15 +43,15 @@ def hop_table(measured: Sequence[MeasuredTopology]) -> Table:
 
 def bound_table(measured: Sequence[MeasuredTopology]) -> Table:
     """A row for each node with a period: the measured times next to the bounds of response-time analysis."""
-    bounds = [(of.label, each) for of in measured for each in response_bounds(of)]
-    with_bound = [each for _, each in bounds if each.bound_ns is not None]
-    above = [each for each in with_bound if each.broken]
+    bounds = [(topology.label, bound) for topology in measured for bound in response_bounds(topology)]
+    with_bound = [bound for _, bound in bounds if bound.bound_ns is not None]
+    above = [bound for bound in with_bound if bound.broken]
     outcome = f"{len(above)} of {counted(len(with_bound), 'node')} above the bound" if with_bound else "no bound"
     return Table(
         id="response-bounds",
         title="Responses beside the bound of theory",
         columns=("topology", "node", "CPU", "period", "CPU time max", "wakes late by", "response max", "bound", "what"),
-        rows=[_bound_row(label, each) for label, each in bounds],
+        rows=[_bound_row(label, bound) for label, bound in bounds],
         outcome=outcome,
         notes=(
             "The bound would hold if the longest CPU time of each node and the latest waking were the longest there "
@@ -63,22 +63,22 @@ def bound_table(measured: Sequence[MeasuredTopology]) -> Table:
     )
 
 
-def _bound_row(label: str, each: NodeBound) -> tuple[str, ...]:
-    if each.bound_ns is None:
-        what = f"no bound: {each.why_not}"
-    elif each.broken:
-        excess = time((each.measured_ns or 0) - each.bound_ns)
-        what = f"ABOVE by {excess}: an assumption does not hold: {each.broken}"
+def _bound_row(label: str, bound: NodeBound) -> tuple[str, ...]:
+    if bound.bound_ns is None:
+        what = f"no bound: {bound.why_not}"
+    elif bound.broken:
+        excess = time((bound.measured_ns or 0) - bound.bound_ns)
+        what = f"ABOVE by {excess}: an assumption does not hold: {bound.broken}"
     else:
-        what = f"{100 * (each.measured_ns or 0) / each.bound_ns:.3g} % of it"
+        what = f"{100 * (bound.measured_ns or 0) / bound.bound_ns:.3g} % of it"
     return (
         label,
-        each.node,
-        "-" if each.cpu is None else str(each.cpu),
-        time(each.period_ns),
-        time(each.cost_ns),
-        "-" if each.bound_ns is None else time(each.wakes_ns),
-        time(each.measured_ns),
-        time(each.bound_ns),
+        bound.node,
+        "-" if bound.cpu is None else str(bound.cpu),
+        time(bound.period_ns),
+        time(bound.cost_ns),
+        "-" if bound.bound_ns is None else time(bound.wakes_ns),
+        time(bound.measured_ns),
+        time(bound.bound_ns),
         what,
     )

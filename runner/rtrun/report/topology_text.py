@@ -116,7 +116,7 @@ def _activated(node: TopologyNode, rate_hz: float) -> str:
 
 def _is_shared(topology: Topology, node: TopologyNode) -> bool:
     executor = topology.executor[node.executor]
-    alone = sum(each.executor == node.executor for each in topology.nodes) == 1
+    alone = sum(other.executor == node.executor for other in topology.nodes) == 1
     return not (alone and executor.name == executor.process == node.name)
 
 
@@ -141,12 +141,12 @@ def _paths(plan: TopologyPlan) -> Iterator[str]:
     number = len(plan.topology.all_paths())
     if not plan.paths:
         yield "no path is measured: no source leads to a sink; name one under paths"
-    of_paths = [each for each in plan.deadlines if each.stream.is_of_paths]
+    of_paths = [deadline for deadline in plan.deadlines if deadline.stream.is_of_paths]
     for path in plan.paths[:_SHOWN]:
         own = [
-            f"{each.kind.replace('path', 'reaction')} {time(each.deadline_ns)}"
-            for each in of_paths
-            if each.name == path.name
+            f"{deadline.kind.replace('path', 'reaction')} {time(deadline.deadline_ns)}"
+            for deadline in of_paths
+            if deadline.name == path.name
         ]
         deadlines = f": {', '.join(own)}" if own else ""
         yield f"path {' > '.join(path.nodes)}{deadlines}"
@@ -154,9 +154,9 @@ def _paths(plan: TopologyPlan) -> Iterator[str]:
         yield f"and {len(plan.paths) - _SHOWN} more paths"
     if not plan.topology.paths and not of_paths and number > len(plan.paths) > 0:
         yield f"these are the longest of {number} found from source to sink; name others under paths"
-    others: list[StreamDeadline] = [each for each in plan.deadlines if each not in of_paths]
+    others: list[StreamDeadline] = [deadline for deadline in plan.deadlines if deadline not in of_paths]
     if others:
-        yield f"deadlines: {', '.join(f'{each.kind} {each.name} {time(each.deadline_ns)}' for each in others)}"
+        yield f"deadlines: {', '.join(f'{stream.kind} {stream.name} {time(stream.deadline_ns)}' for stream in others)}"
 
 
 def _demand_lines(topology: Topology) -> Iterator[str]:

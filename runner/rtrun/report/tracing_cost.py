@@ -22,31 +22,32 @@ from rtrun.results.reading import Source
 from rtrun.results.record import RunRecord, RunStatus, read_record
 
 
-def thresholds(records: Sequence[RunRecord], of: Measure | None) -> Iterator[str]:
-    """Which traces belong to another series than `of` (None: any series), and the limits that warm-ups found.
+def thresholds(records: Sequence[RunRecord], measure: Measure | None) -> Iterator[str]:
+    """Which traces belong to another series than `measure` (None: any series), and the limits that warm-ups found.
 
     One sentence for each other series, and one for each quantile that a campaign asks for.
     """
-    kept = [one for one in records if one.parameters.get(PARAMETER) is not None and of in measures(one.suite)]
-    series = Counter(traced_series(one.suite, one.parameters) for one in kept)
+    kept = [run for run in records if run.parameters.get(PARAMETER) is not None and measure in measures(run.suite)]
+    series = Counter(traced_series(run.suite, run.parameters) for run in kept)
     for traced, number in series.items():
-        if traced != of:
-            yield f"Traces are of the {traced} in {counted(number, 'run')}, not of the {of}, which takes trace_of: {of}"
-    measured = [one for one in records if quantile(one.trace) is not None and one.status is RunStatus.OK]
-    for trace, alike in groupby(sorted(measured, key=lambda one: (one.trace, one.suite)), key=lambda one: one.trace):
-        limits_us = sorted(int(one.parameters.get(PARAMETER) or 0) for one in alike)
+        if traced != measure:
+            where = counted(number, "run")
+            yield f"Traces are of the {traced} in {where}, not of the {measure}, which takes trace_of: {measure}"
+    measured = [run for run in records if quantile(run.trace) is not None and run.status is RunStatus.OK]
+    for trace, alike in groupby(sorted(measured, key=lambda run: (run.trace, run.suite)), key=lambda run: run.trace):
+        limits_us = sorted(int(run.parameters.get(PARAMETER) or 0) for run in alike)
         lowest, highest = limits_us[0], limits_us[-1]
         between = " to ".join(dict.fromkeys(time(1000 * limit_us) for limit_us in (lowest, highest)))
         runs = "a run" if len(limits_us) == 1 else f"{len(limits_us)} runs"
         yield f"Traced is what is above {trace} of the values before: {between} in {runs}"
 
 
-def tracing_cost_at(source: Source, of: Measure | None) -> tuple[Table | None, tuple[str, ...]]:
+def tracing_cost_at(source: Source, measure: Measure | None) -> tuple[Table | None, tuple[str, ...]]:
     """The comparison for the runs at a path, None where no run has a twin; and why they cannot be compared."""
     try:
         if all(read_record(folder).trace != UNTRACED for folder in source.folders):
             return None, ()
-        return tracing_cost(study(source.path, Question(of=of), bounds=False)), ()
+        return tracing_cost(study(source.path, Question(of=measure), bounds=False)), ()
     except UsageError as error:
         return None, tuple(str(error).splitlines())
 
@@ -63,7 +64,9 @@ def tracing_cost(examined: Study) -> Table:
         rows=rows,
         outcome=_outcome([change.comparison.answer for change in changes]),
         numbers=range(2, 5),
-        notes=tuple(dict.fromkeys(printable(f"assumes {text}") for one in changes for text in one.comparison.assumes)),
+        notes=tuple(
+            dict.fromkeys(printable(f"assumes {text}") for change in changes for text in change.comparison.assumes)
+        ),
     )
 
 

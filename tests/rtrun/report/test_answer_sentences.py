@@ -16,12 +16,12 @@ from rtrun.report.sentences import answers_in_words, headline, sentence
 DEADLINE_NS = 400_000
 
 
-def said(root: Path, values: np.ndarray, **asked: float | int) -> tuple[str, str]:
+def texts(root: Path, values: np.ndarray, **asked: float | int) -> tuple[str, str]:
     """The headline, and the sentence about one run of these values."""
     oneshot_run(root, "a", values)
     analysed = study(root, Question(deadline_ns=DEADLINE_NS, **asked), bounds=False)
-    made = scenarios(analysed)
-    return headline(analysed, made), sentence(made[0])
+    shown = scenarios(analysed)
+    return headline(analysed, shown), sentence(shown[0])
 
 
 def late(count: int, n: int) -> np.ndarray:
@@ -58,11 +58,11 @@ def late(count: int, n: int) -> np.ndarray:
     ],
 )
 def test_a_sentence_says_what_was_late_and_how_many_may_be(tmp_path, values, asked, text):
-    assert text in said(tmp_path, values, **asked)[1]
+    assert text in texts(tmp_path, values, **asked)[1]
 
 
 def test_where_only_boots_are_missing_nothing_is_said_of_more_measurements(tmp_path):
-    text = said(tmp_path, late(0, 5000), probability=1e-2, boots=3)[1]
+    text = texts(tmp_path, late(0, 5000), probability=1e-2, boots=3)[1]
     assert text.endswith("2 more boots missing")
 
 
@@ -72,7 +72,7 @@ def test_what_changed_prevents_a_rate(tmp_path):
     values[10_000:10_400:3] = 5 * DEADLINE_NS
     assert (
         "the system changed while it was measured, so no upper limit can be given ("
-        in said(tmp_path, values, probability=1e-3)[1]
+        in texts(tmp_path, values, probability=1e-3)[1]
     )
 
 
@@ -80,7 +80,7 @@ def test_what_changed_prevents_a_rate(tmp_path):
     ("count", "text"), [(0, "never missed in 1 test on "), (3, "missed at least once in 1 test on ")]
 )
 def test_the_headline_says_where_the_deadline_was_missed(tmp_path, count, text):
-    assert said(tmp_path, late(count, 2000))[0].startswith(f"400 us was {text}")
+    assert texts(tmp_path, late(count, 2000))[0].startswith(f"400 us was {text}")
 
 
 def test_answers_are_counted_in_words():

@@ -154,7 +154,9 @@ def test_no_text_holds_a_command_to_a_terminal(tmp_path):
     written = contents_of(tmp_path)
     assert any("FORGED" in text for text in texts(written))
     assert [text for text in texts(written) if not text.isprintable()] == []
-    assert all(re.fullmatch("[a-z0-9-]+", one.id) and one.condition.isprintable() for one in written.scenarios)
+    assert all(
+        re.fullmatch("[a-z0-9-]+", scenario.id) and scenario.condition.isprintable() for scenario in written.scenarios
+    )
 
 
 def test_repeated_runs_are_reproduced_by_one_line_that_a_shell_takes(tmp_path: Path) -> None:
@@ -162,7 +164,7 @@ def test_repeated_runs_are_reproduced_by_one_line_that_a_shell_takes(tmp_path: P
     for name, policy in (("a", "RR"), ("b", "RR"), ("c", "FIFO")):
         oneshot_run(tmp_path, name, LATENCIES_NS[0], policy=policy, programs=programs)
     oneshot_run(tmp_path, "d", LATENCIES_NS[0], variant="new", programs=programs)
-    (table,) = [each for each in contents_of(tmp_path).tables if each.id == "reproduce"]
+    (table,) = [table for table in contents_of(tmp_path).tables if table.id == "reproduce"]
     measured = [how for what, how in table.rows if what == "measured"]
     line = "oneshot_timer_tests -p 'a b'"
     assert measured == [f"a and 1 like it: {line}", f"c: {line}", f"d: {line}"]

@@ -36,7 +36,7 @@ def test_messages_are_arrows_between_slices_and_callbacks_nest():
     assert len(slices) == 40
     for thread in {(event["pid"], event["tid"]) for event in slices}:
         opened = []
-        for event in (one for one in slices if (one["pid"], one["tid"]) == thread):
+        for event in (part for part in slices if (part["pid"], part["tid"]) == thread):
             begin, end = (round(event["ts"] * 1000), round((event["ts"] + event["dur"]) * 1000))
             while opened and opened[-1] <= begin:
                 opened.pop()
@@ -46,13 +46,13 @@ def test_messages_are_arrows_between_slices_and_callbacks_nest():
     assert len(arrows) == 20
     for event in arrows:
         assert any(
-            one["pid"] == event["pid"]
-            and one["tid"] == event["tid"]
-            and one["ts"] <= event["ts"] < one["ts"] + one["dur"]
-            for one in slices
+            part["pid"] == event["pid"]
+            and part["tid"] == event["tid"]
+            and part["ts"] <= event["ts"] < part["ts"] + part["dur"]
+            for part in slices
         ), "an arrow without a slice"
         assert (event.get("bp") == "e") == (event["ph"] == "f")
-    begins, ends = ({one["id"]: one for one in arrows if one["ph"] == phase} for phase in "sf")
+    begins, ends = ({arrow["id"]: arrow for arrow in arrows if arrow["ph"] == phase} for phase in "sf")
     assert begins.keys() == ends.keys()
     assert {round((ends[number]["ts"] - begins[number]["ts"]) * 1000) for number in begins} == {300}
     assert (begins[1]["pid"], begins[1]["tid"], ends[1]["tid"]) == (1, 11, 2)
@@ -61,7 +61,9 @@ def test_messages_are_arrows_between_slices_and_callbacks_nest():
 
 def test_processes_and_threads_are_named():
     names = {
-        (one["name"], one["tid"]): one["args"]["name"] for one in trace_of(1000)["traceEvents"] if one["ph"] == "M"
+        (event["name"], event["tid"]): event["args"]["name"]
+        for event in trace_of(1000)["traceEvents"]
+        if event["ph"] == "M"
     }
     assert names["thread_name", 11] == "dds?" and names["process_name", 2] == "comm"
 

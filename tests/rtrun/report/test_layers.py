@@ -58,14 +58,14 @@ AWAKE = {"cpu_dma_latency_us": 0}
 def test_idle_cpus_must_have_been_alike(write, tmp_path):
     """Of two groups above, the one that is alike is paired; where none is, the table says why."""
     write("a", TIMER | AWAKE, MESSAGES)
-    made = table_of(tmp_path)
-    (row,) = made.rows
+    shown = table_of(tmp_path)
+    (row,) = shown.rows
     assert "refused: idle CPUs were kept awake in one and not in the other" in row[-1]
     write("b", TIMER | AWAKE, MESSAGES | AWAKE)
-    made = table_of(tmp_path)
-    assert {row[-1].partition(":")[0] for row in made.rows} != {"refused"}
-    assert {row[:2] for row in made.rows} == {(made.rows[0][0], made.rows[0][1])}
-    assert "cpu_dma_latency_us=0" in made.rows[0][1]
+    shown = table_of(tmp_path)
+    assert {row[-1].partition(":")[0] for row in shown.rows} != {"refused"}
+    assert {row[:2] for row in shown.rows} == {(shown.rows[0][0], shown.rows[0][1])}
+    assert "cpu_dma_latency_us=0" in shown.rows[0][1]
 
 
 def test_idle_states_shut_for_the_baseline_alone(write, tmp_path):

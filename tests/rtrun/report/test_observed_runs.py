@@ -112,7 +112,7 @@ def rtrun(capsys):
 def answers(rtrun, results, *options):
     """The sentence about each group, by its first word."""
     groups = json.loads(rtrun("verdict", results, "--json", *options)[1])["groups"]
-    return {each["group"].split(" ")[0]: each for each in groups}
+    return {group["group"].split(" ")[0]: group for group in groups}
 
 
 @pytest.mark.parametrize("missing", [0, 1])
@@ -129,7 +129,7 @@ def test_an_interval_that_had_not_ended_is_a_miss(tmp_path, missing):
 
 
 def test_each_stream_is_held_against_its_own_deadline(rtrun, results):
-    seen = {suite: each["answer"] for suite, each in answers(rtrun, results, "--probability", "0.01").items()}
+    seen = {suite: group["answer"] for suite, group in answers(rtrun, results, "--probability", "0.01").items()}
     assert seen == {
         "messages": "PROVEN",
         "timer": "REFUTED",
@@ -141,17 +141,17 @@ def test_each_stream_is_held_against_its_own_deadline(rtrun, results):
 
 def test_a_deadline_that_is_named_comes_before_them(rtrun, results):
     seen = answers(rtrun, results, "--probability", "0.01", "--deadline", "110us")
-    assert {suite for suite, each in seen.items() if each["answer"] == "no deadline"} == set()
-    assert {each["answer"] for each in seen.values()} == {"REFUTED"}
+    assert {suite for suite, group in seen.items() if group["answer"] == "no deadline"} == set()
+    assert {group["answer"] for group in seen.values()} == {"REFUTED"}
 
 
 def test_a_comparison_counts_misses_of_each_by_its_own_deadline(rtrun, results):
-    status, said = rtrun("compare", results, results)
+    status, printed = rtrun("compare", results, results)
     assert status == 0
-    told = dict(
-        re.findall(r"^[A-Z ]+  (\w+) .*\n(?: {4}(?!P\(|no).*\n)+ {4}(P\(\w+ > [^)]+\)|no deadline)", said, re.M)
+    misses = dict(
+        re.findall(r"^[A-Z ]+  (\w+) .*\n(?: {4}(?!P\(|no).*\n)+ {4}(P\(\w+ > [^)]+\)|no deadline)", printed, re.M)
     )
-    assert told == {
+    assert misses == {
         "messages": "P(value > 5 ms)",
         "timer": "P(value > 50 us)",
         "callback": "P(value > 1 ms)",
@@ -176,7 +176,7 @@ def test_the_report_asks_nothing_without_a_deadline_and_says_how_it_was_made(tmp
     write(tmp_path, "a", messages())
     written = contents(study(tmp_path))
     assert written.question.startswith("What follows are figures alone")
-    (plot,) = (one for one in plots(written.scenarios[0], probability=1e-6) if one.id == "shares")
+    (plot,) = (plot for plot in plots(written.scenarios[0], probability=1e-6) if plot.id == "shares")
     assert [mark.kind for mark in plot.marks] == ["steps"] and "deadline" not in plot.caption
     rows = {row[0]: row[1] for table in written.tables for row in table.rows}
     assert "--deadline" not in rows["examined"] and not {"None", "True"} & set(rows.values())
@@ -222,8 +222,8 @@ def test_all_else_takes_them(rtrun, results, tmp_path_factory):
 @pytest.mark.parametrize(("skipped", "overdue"), [(0, 0), (4, 0), (0, 1), (4, 1)])
 def test_the_header_of_a_timer_tells_skipped_periods_and_an_overdue_call_apart(tmp_path, skipped, overdue):
     """Both miss: a call that had not come at the end does not hide the periods that were skipped before it."""
-    made = timer(skipped=skipped)
-    write(tmp_path, "a", dataclasses.replace(made, asked=made.asked + overdue, missing=overdue))
+    observed = timer(skipped=skipped)
+    write(tmp_path, "a", dataclasses.replace(observed, asked=observed.asked + overdue, missing=overdue))
     (group,) = study(tmp_path, Question(deadline_ns=10**9)).groups
-    (digest,) = [each for each in group.digests if each.header.main]
+    (digest,) = [digest for digest in group.digests if digest.header.main]
     assert (digest.header.skipped, digest.header.missing) == (skipped, overdue)

@@ -25,7 +25,7 @@ def explained(tmp_path):
 
 def slices(trace):
     """The slices of each track by its name, each as (begin, end, name); all are closed before the next begins."""
-    names, made, opened = {}, defaultdict(list), {}
+    names, tracks, opened = {}, defaultdict(list), {}
     for packet in trace.packet:
         if packet.HasField("track_descriptor"):
             names[packet.track_descriptor.uuid] = packet.track_descriptor.name
@@ -38,10 +38,10 @@ def slices(trace):
             assert event.type == TrackEvent.TYPE_SLICE_END
             begin_ns, name = opened.pop(event.track_uuid)
             assert begin_ns < packet.timestamp
-            assert not made[names[event.track_uuid]] or made[names[event.track_uuid]][-1][1] <= begin_ns
-            made[names[event.track_uuid]].append((begin_ns, packet.timestamp, name))
+            assert not tracks[names[event.track_uuid]] or tracks[names[event.track_uuid]][-1][1] <= begin_ns
+            tracks[names[event.track_uuid]].append((begin_ns, packet.timestamp, name))
     assert not opened
-    return made
+    return tracks
 
 
 def test_values_and_their_parts_and_what_each_cpu_did(explained):
@@ -66,7 +66,7 @@ def test_tracks_of_a_run_stand_together(explained):
     run, *others = descriptors
     assert run.name == f"001-run {OUTPUT}"
     assert {other.parent_uuid for other in others} == {run.uuid}
-    assert len({one.uuid for one in descriptors}) == len(descriptors)
+    assert len({descriptor.uuid for descriptor in descriptors}) == len(descriptors)
 
 
 def test_nothing_is_an_empty_trace():

@@ -133,8 +133,8 @@ def test_runs_of_the_same_parameters_are_told_apart_by_their_number() -> None:
 
 
 def test_threads_of_one_run_are_told_apart_by_the_end_of_their_output() -> None:
-    one = result(WIDE)
-    threads = [replace(one, header=replace(one.header, output=f"cyclictest_l10-t{k}")) for k in (0, 1)]
+    wide = result(WIDE)
+    threads = [replace(wide, header=replace(wide.header, output=f"cyclictest_l10-t{k}")) for k in (0, 1)]
     assert [row.split()[4] for row in rows_of(threads, 200)] == ["#t0", "#t1"]
 
 
@@ -152,14 +152,14 @@ def test_start_up_values_of_many_outputs_are_one_line_a_series() -> None:
 
 
 def test_one_timer_is_not_many() -> None:
-    one = result(WIDE)
-    lines = drawn(answer([replace(one, header=replace(one.header, not_fired=1))], platform=Platform.HARDWARE), 200)
+    wide = result(WIDE)
+    lines = drawn(answer([replace(wide, header=replace(wide.header, not_fired=1))], platform=Platform.HARDWARE), 200)
     assert [line.partition(": ")[2] for line in lines if "timer" in line] == [
         "1 timer did not fire, it is in no figure"
     ]
 
 
 def test_messages_that_came_again_are_told() -> None:
-    one = result(WIDE)
-    lines = drawn(answer([replace(one, header=replace(one.header, duplicate=3))], platform=Platform.HARDWARE), 200)
+    wide = result(WIDE)
+    lines = drawn(answer([replace(wide, header=replace(wide.header, duplicate=3))], platform=Platform.HARDWARE), 200)
     assert any(line.endswith(": 3 messages came again, only the first arrival counts") for line in lines)

@@ -110,5 +110,5 @@ def _roundest(low: float, value: float, high: float) -> float:
         below = math.floor(value / unit)
         inside = [k * unit for k in (below, below + 1) if low <= k * unit <= high]
         if inside:
-            return min(inside, key=lambda one: abs(one - value))
+            return min(inside, key=lambda candidate: abs(candidate - value))
     return value

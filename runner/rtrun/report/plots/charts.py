@@ -27,24 +27,26 @@ _STRETCHED = " The axis is even around the median, and logarithmic away from it.
 def plots(scenario: Scenario, *, probability: float) -> list[Plot]:
     """Every plot of a scenario; none where it has no values."""
     group = scenario.group
-    shown = [one for one in group.digests if one.histogram.values_ns.size]
+    shown = [digest for digest in group.digests if digest.histogram.values_ns.size]
     if not shown:
         return []
     limit_ns = group.question.deadline_ns if group.question else None
-    along = axes.times(scenario.measured, scale_of(merge(one.histogram for one in shown), limit_ns))
-    made = [_histograms(shown, along, limit_ns)]
-    slow = [one for one in slowest(group.digests) if one.histogram.values_ns.size]
+    along = axes.times(scenario.measured, scale_of(merge(digest.histogram for digest in shown), limit_ns))
+    charts = [_histograms(shown, along, limit_ns)]
+    slow = [digest for digest in slowest(group.digests) if digest.histogram.values_ns.size]
     if slow:
-        made.append(_exceedance(scenario, shown, slow, along, limit_ns, probability))
-    with_course = [one for one in shown if one.course is not None and one.figures.max_ns is not None]
+        charts.append(_exceedance(scenario, shown, slow, along, limit_ns, probability))
+    with_course = [digest for digest in shown if digest.course is not None and digest.figures.max_ns is not None]
     if with_course:
-        worst = max(with_course, key=lambda one: one.figures.max_ns or 0)
-        made.append(_course(worst, along, limit_ns, name=output_labels(shown)[shown.index(worst)] if shown[1:] else ""))
+        worst = max(with_course, key=lambda digest: digest.figures.max_ns or 0)
+        charts.append(
+            _course(worst, along, limit_ns, name=output_labels(shown)[shown.index(worst)] if shown[1:] else "")
+        )
     if len(shown) > 1:
-        made.append(_outputs(shown, scenario.measured))
+        charts.append(_outputs(shown, scenario.measured))
     elif with_course:
-        made.append(_over_time(with_course[0], scenario.measured))
-    return made
+        charts.append(_over_time(with_course[0], scenario.measured))
+    return charts
 
 
 def _limit(limit_ns: float | None, along: Axis, across: Axis, *, is_upright: bool) -> list[Mark]:
@@ -62,7 +64,7 @@ def _limit(limit_ns: float | None, along: Axis, across: Axis, *, is_upright: boo
 
 def _histograms(shown: Sequence[Digest], along: Axis, limit_ns: float | None) -> Plot:
     edges = along.scale.edges(_BINS, _US)
-    named = [(label, one.histogram) for label, one in zip(output_labels(shown), shown, strict=True)]
+    named = [(label, digest.histogram) for label, digest in zip(output_labels(shown), shown, strict=True)]
     if len(named) > _COLOURS:
         named = [(f"all {len(shown)} outputs", merge(bins for _, bins in named))]
     marks = []
@@ -98,8 +100,8 @@ def _exceedance(
     marks = [_share_above(0, "measured" if len(shown) == 1 else together, slow)]
     if 1 < len(shown) < _COLOURS:
         labels = enumerate(zip(output_labels(shown), shown, strict=True), start=1)
-        marks += [_share_above(k, label, [one]) for k, (label, one) in labels]
-    floor = 0.5 / max(one.n for one in shown)
+        marks += [_share_above(k, label, [digest]) for k, (label, digest) in labels]
+    floor = 0.5 / max(digest.n for digest in shown)
     if limit_ns is not None:
         floor = min(floor, probability)
     tails: list[Mark] = []
@@ -124,7 +126,7 @@ def _exceedance(
 
 
 def _share_above(k: int, name: str, series: Sequence[Digest]) -> Mark:
-    bins = merge(one.histogram for one in series)
+    bins = merge(digest.histogram for digest in series)
     total = bins.n + sum(map(_absent, series))
     above = total - np.cumsum(bins.counts)
     # No value is above the last one, which a logarithm cannot show: half a value stands for it.
@@ -133,8 +135,8 @@ def _share_above(k: int, name: str, series: Sequence[Digest]) -> Mark:
     return make_mark("steps", name, x, np.concatenate(([1.0], np.maximum(above[keep], 0.5) / total)), k)
 
 
-def _absent(one: Digest) -> int:
-    return one.header.missing + one.header.not_fired + one.header.skipped
+def _absent(digest: Digest) -> int:
+    return digest.header.missing + digest.header.not_fired + digest.header.skipped
 
 
 def _thin(places: Any, most: int) -> Any:
@@ -163,14 +165,14 @@ def _tail(bound: Bound, scale: Scale) -> list[Mark]:
     ]
 
 
-def _course(one: JudgedDigest, up: Axis, limit_ns: float | None, *, name: str) -> Plot:
+def _course(digest: JudgedDigest, up: Axis, limit_ns: float | None, *, name: str) -> Plot:
     """The course of an output, called by its `name` if there are others."""
-    course = one.course
+    course = digest.course
     assert course is not None
-    along = axes.counts("loop", float(len(one.header.startup)), float(course.end))
+    along = axes.counts("loop", float(len(digest.header.startup)), float(course.end))
     # Loops whose values are missing leave a gap.
     gaps = np.flatnonzero(np.diff(course.loops) > course.width) + 1
-    pieces = zip(*(np.split(each, gaps) for each in (course.loops, course.low_ns, course.high_ns)), strict=True)
+    pieces = zip(*(np.split(column, gaps) for column in (course.loops, course.low_ns, course.high_ns)), strict=True)
     if course.width == 1:
         marks = [make_mark("line", "values", loops, highest) for loops, _, highest in pieces]
         caption = "Values over the loops"
@@ -186,7 +188,7 @@ def _course(one: JudgedDigest, up: Axis, limit_ns: float | None, *, name: str) -
             )
             for loops, lowest, highest in pieces
         ]
-    listed = [(e.index, e.value_ns) for e in one.figures.top if e.index is not None]
+    listed = [(e.index, e.value_ns) for e in digest.figures.top if e.index is not None]
     marks.append(
         make_mark("dots", f"{len(listed)} highest", [at for at, _ in listed], [value for _, value in listed], 1)
     )
@@ -200,11 +202,11 @@ def _course(one: JudgedDigest, up: Axis, limit_ns: float | None, *, name: str) -
     )
 
 
-def _over_time(one: JudgedDigest, measured: str) -> Plot:
+def _over_time(digest: JudgedDigest, measured: str) -> Plot:
     """How the values were distributed from the first loop to the last."""
-    course = one.course
+    course = digest.course
     assert course is not None
-    skipped, columns = len(one.header.startup), course.counts.shape[1]
+    skipped, columns = len(digest.header.startup), course.counts.shape[1]
     edges = np.minimum(skipped + np.arange(columns + 1) * course.columns_of, course.end).astype(np.float64)
     return Plot(
         id="over-time",
@@ -218,10 +220,10 @@ def _over_time(one: JudgedDigest, measured: str) -> Plot:
 
 def _outputs(shown: Sequence[Digest], measured: str) -> Plot:
     """What figures 5.2 to 5.4 of the thesis show in three dimensions: value, count and run."""
-    up = axes.times(measured, scale_of(merge(one.histogram for one in shown)))
+    up = axes.times(measured, scale_of(merge(digest.histogram for digest in shown)))
     edges = up.scale.edges(_ROWS, _US)
-    counts = np.array([_counted(one.histogram, edges) for one in shown]).T
-    runs = len({one.run for one in shown})
+    counts = np.array([_counted(digest.histogram, edges) for digest in shown]).T
+    runs = len({digest.run for digest in shown})
     what = "run" if runs == len(shown) else "subscriber" if runs == 1 else "output"
     return Plot(
         id="outputs",

@@ -110,7 +110,9 @@ def drawn(plot: Plot) -> Drawn:
         y_ticks=y_ticks,
         paths=[("grid", 0, grid), *((mark.kind, mark.colour, _path(plot, mark)) for mark in plot.marks)],
         # Pieces of a line that has gaps share one key.
-        keys=[*dict.fromkeys((one.kind, one.colour, printable(one.name)) for one in plot.marks if not _at_line(one))],
+        keys=[
+            *dict.fromkeys((mark.kind, mark.colour, printable(mark.name)) for mark in plot.marks if not _at_line(mark))
+        ],
         limits=[_limit(plot, mark) for mark in plot.marks if _at_line(mark)],
         data=axes | _data(plot),
         **more,

@@ -45,7 +45,7 @@ class DrawnNode:
     height: float
     style: str
     text: DrawnText
-    told: str
+    tooltip: str
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,7 +56,7 @@ class DrawnArrow:
     head: str
     style: str
     text: DrawnText | None
-    told: str
+    tooltip: str
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,7 +65,7 @@ class TimelineRow:
 
     name: str
     bars: tuple[tuple[str, float, float], ...]
-    told: str
+    tooltip: str
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,17 +83,17 @@ class DrawnTopology:
     ticks: tuple[tuple[float, str], ...]
 
 
-def drawn_topology(of: MeasuredTopology) -> DrawnTopology:
+def drawn_topology(measured: MeasuredTopology) -> DrawnTopology:
     """The picture of the displayed run."""
-    topology, critical = of.shown.topology, of.critical
-    figures = {each.node: each for each in of.shown.nodes}
+    topology, critical = measured.shown.topology, measured.critical
+    figures = {found.node: found for found in measured.shown.nodes}
     texts = {node.name: _node_lines(node, figures.get(node.name)) for node in topology.nodes}
     widths = {
         name: max(_NARROWEST, 2 * _PADDING + _CHARACTER * max(len(line) for line, _ in lines))
         for name, lines in texts.items()
     }
     hops: dict[tuple[str, str], list[HopFigures]] = {}
-    for hop in of.shown.hops:
+    for hop in measured.shown.hops:
         hops.setdefault((hop.publisher, hop.subscriber), []).append(hop)
     place = _Places(layered(widths, [pair for pair in hops if pair[0] != pair[1]]), widths, texts)
     marked = set(itertools.pairwise(critical.nodes)) if critical else set()
@@ -102,12 +102,12 @@ def drawn_topology(of: MeasuredTopology) -> DrawnTopology:
         for node in topology.nodes
     )
     # The path that matters gets its text first.
-    ordered = sorted(hops.items(), key=lambda each: each[0] not in marked)
+    ordered = sorted(hops.items(), key=lambda arrow: arrow[0] not in marked)
     taken = [(node.x, node.y, node.x + node.width, node.y + node.height) for node in nodes]
     arrows = tuple(_arrow(pair, alike, place, taken, is_critical=pair in marked) for pair, alike in ordered)
     return DrawnTopology(
-        label=printable(of.label),
-        run=printable(of.run),
+        label=printable(measured.label),
+        run=printable(measured.run),
         width=place.width,
         height=place.height,
         nodes=nodes,
@@ -141,17 +141,18 @@ class _Places:
         x = self._layout.x[name] + _MARGIN - self.widths[name] / 2
         return x, self._tops[self._layout.layer[name]]
 
-    def points(self, one: str, two: str) -> list[tuple[float, float]]:
+    def points(self, begin: str, end: str) -> list[tuple[float, float]]:
         """Where an arrow begins, bends and ends."""
         layer = self._layout.layer
-        is_down = layer[one] < layer[two]
+        is_down = layer[begin] < layer[end]
         ends = []
-        for name, is_top in ((one, not is_down), (two, is_down)):
+        for name, is_top in ((begin, not is_down), (end, is_down)):
             top = self._tops[layer[name]]
             x = self._layout.x[name] + _MARGIN + (0.0 if is_down else _BACK)
             ends.append((x, top if is_top else top + self.heights[name]))
         bends = [
-            (x + _MARGIN, self._tops[number] + self._tallest[number] / 2) for number, x in self._layout.bends[one, two]
+            (x + _MARGIN, self._tops[number] + self._tallest[number] / 2)
+            for number, x in self._layout.bends[begin, end]
         ]
         return [ends[0], *bends, ends[1]]
 
@@ -194,7 +195,7 @@ def _node(
         height=place.heights[node.name],
         style="critical" if is_critical else "",
         text=DrawnText(x=x + place.widths[node.name] / 2, y=y + _LINE, lines=tuple(lines)),
-        told=printable(
+        tooltip=printable(
             f"{node.name}: busy {time(node.busy_ns)}; thread {executor.name} of process {executor.process}, {policy}, "
             f"{cpus}{deadline}"
         ),
@@ -211,14 +212,14 @@ def _arrow(
 ) -> DrawnArrow:
     """An arrow between two nodes; the place of its text is added to `taken`."""
     lines = [line for hop in hops for line in _hop_lines(hop)]
-    told = printable("; ".join(f"{hop.topic}: {_hop_told(hop)}" for hop in hops))
+    tooltip = printable("; ".join(f"{hop.topic}: {_hop_told(hop)}" for hop in hops))
     style = "critical" if is_critical else ""
     if pair[0] == pair[1]:
         x, y = place.corner(pair[0])
         right, middle = x + place.widths[pair[0]], y + place.heights[pair[0]] / 2
         loop = f"{right + 26:.1f} {middle - 14:.1f} {right + 26:.1f} {middle + 14:.1f} {right:.1f} {middle + 8:.1f}"
         line = f"M{right:.1f} {middle - 8:.1f}C{loop}"
-        return DrawnArrow(line=line, head="", style=style, text=None, told=told)
+        return DrawnArrow(line=line, head="", style=style, text=None, tooltip=tooltip)
     points = place.points(*pair)
     (x, y), down = points[-1], points[-1][1] > points[-2][1]
     back = -_HEAD if down else _HEAD
@@ -227,7 +228,7 @@ def _arrow(
         head=f"M{x - _HEAD / 2:.1f} {y + back:.1f}H{x + _HEAD / 2:.1f}L{x:.1f} {y:.1f}Z",
         style=style,
         text=_text_on(points, lines, taken),
-        told=told,
+        tooltip=tooltip,
     )
 
 
@@ -277,7 +278,7 @@ def _hop_told(hop: HopFigures) -> str:
 
 
 def _cycle_text(path: PathFigures, topology: Topology) -> str:
-    limits = {each.topics: each.reaction_ns for each in topology.paths}
+    limits = {known.topics: known.reaction_ns for known in topology.paths}
     limit_ns = limits.get(tuple(path.topics))
     deadline = f", deadline {time(limit_ns)}" if limit_ns else ""
     return printable(f"{' > '.join(path.nodes)}: the longest reaction, {time(path.worst[-1].end_ns)}{deadline}")
@@ -290,7 +291,7 @@ def _timeline(worst: Sequence[CycleStep]) -> Iterator[TimelineRow]:
     for step in worst:
         parts = [("wait", step.release_ns, step.begin_ns), ("work", step.begin_ns, step.done_ns)]
         parts.append(("send", step.done_ns, step.end_ns))
-        told = []
+        texts = []
         if came is not None and came.publication_ns is not None and came.reception_ns is not None:
             parts = [
                 ("way", came.publication_ns, came.reception_ns),
@@ -299,15 +300,15 @@ def _timeline(worst: Sequence[CycleStep]) -> Iterator[TimelineRow]:
                 ("wait", max(came.reception_ns, step.release_ns), step.begin_ns),
                 *parts[1:],
             ]
-            told = [f"message {time(came.reception_ns - came.publication_ns)} on its way"]
-        told += [
+            texts = [f"message {time(came.reception_ns - came.publication_ns)} on its way"]
+        texts += [
             f"due at {time(step.release_ns)}",
             f"began at {time(step.begin_ns)}",
             f"done at {time(step.done_ns)}",
             f"sent at {time(step.end_ns)}",
         ]
         bars = ((kind, 100 * begin / whole, 100 * (end - begin) / whole) for kind, begin, end in parts if end > begin)
-        yield TimelineRow(name=printable(step.node), bars=tuple(bars), told=", ".join(told))
+        yield TimelineRow(name=printable(step.node), bars=tuple(bars), tooltip=", ".join(texts))
         came = step
 
 

@@ -18,8 +18,8 @@ _BEND = 40.0  # the width that an arrow needs in a layer that it passes
 class _Place(NamedTuple):
     """A node in its layer, or a place where an arrow passes through a layer."""
 
-    one: str
-    two: str
+    source: str
+    target: str
     layer: int
 
 
@@ -53,18 +53,18 @@ def layered(widths: Mapping[str, float], arrows: Sequence[Arrow]) -> Layout:
         width |= dict.fromkeys(passed[arrow], _BEND)
         links += itertools.pairwise([node[upper], *passed[arrow], node[lower]])
     rows: list[list[_Place]] = [[] for _ in range(max(layer.values(), default=0) + 1)]
-    above: Neighbours = {each: [] for each in width}
-    below: Neighbours = {each: [] for each in width}
-    for each in width:
-        rows[each.layer].append(each)
-    for one, two in links:
-        below[one].append(two)
-        above[two].append(one)
+    above: Neighbours = {place: [] for place in width}
+    below: Neighbours = {place: [] for place in width}
+    for place in width:
+        rows[place.layer].append(place)
+    for over, under in links:
+        below[over].append(under)
+        above[under].append(over)
     _order(rows, above, below)
     x = _places(rows, above, below, width)
-    left = min((x[each] - width[each] / 2 for each in width), default=0.0)
-    right = max((x[each] + width[each] / 2 for each in width), default=0.0)
-    bends = {arrow: [(each.layer, x[each] - left) for each in places] for arrow, places in passed.items()}
+    left = min((x[place] - width[place] / 2 for place in width), default=0.0)
+    right = max((x[place] + width[place] / 2 for place in width), default=0.0)
+    bends = {arrow: [(place.layer, x[place] - left) for place in places] for arrow, places in passed.items()}
     return Layout(
         layer=layer,
         x={name: x[node[name]] - left for name in widths},
@@ -77,9 +77,9 @@ def layered(widths: Mapping[str, float], arrows: Sequence[Arrow]) -> Layout:
 def _downwards(names: Sequence[str], arrows: Sequence[Arrow]) -> list[Arrow]:
     """The arrows; those that would close a cycle are reversed."""
     after: dict[str, list[str]] = {name: [] for name in names}
-    for one, two in arrows:
-        after[one].append(two)
-    entered = {two for _, two in arrows}
+    for source, target in arrows:
+        after[source].append(target)
+    entered = {target for _, target in arrows}
     turned: set[Arrow] = set()
     done: set[str] = set()
     # Start at nodes without incoming arrows, so that these are at the top.
@@ -97,7 +97,7 @@ def _downwards(names: Sequence[str], arrows: Sequence[Arrow]) -> list[Arrow]:
                 done.add(following)
                 way.append(following)
                 rest.append(iter(after[following]))
-    return [(two, one) if (one, two) in turned else (one, two) for one, two in arrows]
+    return [(target, source) if (source, target) in turned else (source, target) for source, target in arrows]
 
 
 def _layers(names: Sequence[str], arrows: Sequence[Arrow]) -> dict[str, int]:
@@ -105,9 +105,9 @@ def _layers(names: Sequence[str], arrows: Sequence[Arrow]) -> dict[str, int]:
     layer = dict.fromkeys(names, 0)
     for _ in names:
         moved = False
-        for one, two in arrows:
-            if layer[two] <= layer[one]:
-                layer[two], moved = layer[one] + 1, True
+        for source, target in arrows:
+            if layer[target] <= layer[source]:
+                layer[target], moved = layer[source] + 1, True
         if not moved:
             break
     return layer
@@ -118,8 +118,8 @@ def _order(rows: list[list[_Place]], above: Neighbours, below: Neighbours) -> No
     for sweep in range(_SWEEPS):
         neighbours, turn = (above, rows[1:]) if sweep % 2 == 0 else (below, rows[-2::-1])
         for row in turn:
-            place = {each: number for one in rows for number, each in enumerate(one)}
-            row.sort(key=lambda each: _mean([float(place[other]) for other in neighbours[each]], float(place[each])))
+            place = {spot: number for layer in rows for number, spot in enumerate(layer)}
+            row.sort(key=lambda spot: _mean([float(place[other]) for other in neighbours[spot]], float(place[spot])))
 
 
 def _places(
@@ -132,27 +132,27 @@ def _places(
     x: dict[_Place, float] = {}
     for row in rows:
         at = 0.0
-        for each in row:
-            x[each] = at + width[each] / 2
-            at += width[each] + _GAP
-        for each in row:
-            x[each] -= at / 2
+        for place in row:
+            x[place] = at + width[place] / 2
+            at += width[place] + _GAP
+        for place in row:
+            x[place] -= at / 2
     for sweep in range(_SWEEPS):
         for row in rows if sweep % 2 == 0 else rows[::-1]:
-            wanted = [_mean([x[other] for other in (*above[each], *below[each])], x[each]) for each in row]
+            wanted = [_mean([x[other] for other in (*above[place], *below[place])], x[place]) for place in row]
             x |= zip(row, _apart(row, wanted, width), strict=True)
     return x
 
 
 def _apart(row: Sequence[_Place], wanted: Sequence[float], width: Mapping[_Place, float]) -> list[float]:
     """Places in their order and apart, as near to the wanted places as one pass from each side achieves."""
-    least = [(width[one] + width[two]) / 2 + _GAP for one, two in itertools.pairwise(row)]
+    least = [(width[first] + width[second]) / 2 + _GAP for first, second in itertools.pairwise(row)]
     right, left = list(wanted), list(wanted)
     for place, step in enumerate(least, start=1):
         right[place] = max(right[place], right[place - 1] + step)
     for place in range(len(least) - 1, -1, -1):
         left[place] = min(left[place], left[place + 1] - least[place])
-    return [(one + two) / 2 for one, two in zip(right, left, strict=True)]
+    return [(first + second) / 2 for first, second in zip(right, left, strict=True)]
 
 
 def _mean(values: Sequence[float], otherwise: float) -> float:

@@ -74,13 +74,13 @@ def _stack(chain: Sequence[LayerBar], width_us: float) -> Stack:
     parts = []
     for number, (begin_us, bar) in enumerate(zip(_begins_us(chain), chain, strict=False)):
         left, right = sorted((place(begin_us), place(begin_us + bar.us)))
-        told = f"{bar.short} {time(1000 * bar.us)}"
+        text = f"{bar.short} {time(1000 * bar.us)}"
         if number:
             between = f"{signed(1000 * bar.low_us)} to {signed(1000 * bar.high_us)}"
-            told = f"{bar.short} {signed(1000 * bar.us)} ({between})"
+            text = f"{bar.short} {signed(1000 * bar.us)} ({between})"
         parts.append(
             StackPart(
-                text=told,
+                text=text,
                 colour=number % _COLOURS,
                 left=left,
                 width=right - left,

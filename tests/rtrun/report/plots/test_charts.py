@@ -34,46 +34,48 @@ def plots_of(root, **question):
 )
 def test_four_plots_say_what_is_measured_along_their_axes(tmp_path, write, measured, ids):
     write(tmp_path)
-    made = plots_of(tmp_path)
-    assert list(made) == ["values", "shares", "course", ids]
-    assert made["values"].x.title == made["shares"].x.title == made["course"].y.title == made[ids].y.title == measured
-    assert all(re.fullmatch(r"-?[0-9.]+ (ns|us|ms|s)", text) for _, text in made["values"].x.ticks)
+    by_id = plots_of(tmp_path)
+    assert list(by_id) == ["values", "shares", "course", ids]
+    assert (
+        by_id["values"].x.title == by_id["shares"].x.title == by_id["course"].y.title == by_id[ids].y.title == measured
+    )
+    assert all(re.fullmatch(r"-?[0-9.]+ (ns|us|ms|s)", text) for _, text in by_id["values"].x.ticks)
 
 
 def test_subscribers_have_numbers(tmp_path):
     message_run(tmp_path, "a", [latencies(2000, k) for k in range(5)])
-    made = plots_of(tmp_path)
-    names = [mark.name for mark in made["values"].marks if mark.kind == "steps"]
+    by_id = plots_of(tmp_path)
+    names = [mark.name for mark in by_id["values"].marks if mark.kind == "steps"]
     assert names == [f"subscriber {k}" for k in range(1, 6)]
-    assert made["outputs"].x.title == "subscriber" and [text for _, text in made["outputs"].x.ticks] == list("12345")
-    assert made["outputs"].cells.counts.sum(axis=0).tolist() == [1999] * 5
+    assert by_id["outputs"].x.title == "subscriber" and [text for _, text in by_id["outputs"].x.ticks] == list("12345")
+    assert by_id["outputs"].cells.counts.sum(axis=0).tolist() == [1999] * 5
 
 
 def test_nothing_measured_is_lost_in_a_plot(tmp_path):
     values = latencies(5000, 1)
     values[[7, 4000]] = 3_000_000, 92_000_000
     oneshot_run(tmp_path, "a", values)
-    made = plots_of(tmp_path, deadline_ns=400_000)
-    (steps, limit) = made["values"].marks
+    by_id = plots_of(tmp_path, deadline_ns=400_000)
+    (steps, limit) = by_id["values"].marks
     assert limit.name == "deadline 400 us" and limit.x.tolist() == [400_000] * 2
     assert steps.x[-1] > 92_000_000 and steps.y.max() > 100
-    (area, dots, _) = made["course"].marks
+    (area, dots, _) = by_id["course"].marks
     assert area.y.max() == 92_000_000 and area.low.min() == values.min() and len(dots.x) == 10
-    cells = made["over-time"].cells
+    cells = by_id["over-time"].cells
     assert cells.counts.sum() == 5000
     assert np.argwhere(cells.counts[-1]).ravel().tolist() == [np.searchsorted(cells.x_edges, 4000, "right") - 1]
 
 
 def test_messages_that_never_came_leave_a_gap_and_count_as_late(tmp_path):
     message_run(tmp_path, "a", [latencies(5000, 1)], lost=tuple(range(1000, 5000)))
-    made = plots_of(tmp_path, deadline_ns=400_000)
-    along, cells = made["course"].x.scale, made["over-time"].cells
+    by_id = plots_of(tmp_path, deadline_ns=400_000)
+    along, cells = by_id["course"].x.scale, by_id["over-time"].cells
     assert (along.low, along.high) == (1, 5000)
-    (area, dots, _) = made["course"].marks
+    (area, dots, _) = by_id["course"].marks
     assert max(*area.x, *dots.x) <= 1021, "a column of 21 loops begins before the first that is missing"
     assert cells.x_edges[-1] == 5000 and cells.counts.sum(axis=0)[12:].sum() == 0 and cells.counts.sum() == 999
-    measured = made["shares"].marks[0]
-    assert measured.y[-1] == pytest.approx(4000 / 4999) and "never came" in made["shares"].caption
+    measured = by_id["shares"].marks[0]
+    assert measured.y[-1] == pytest.approx(4000 / 4999) and "never came" in by_id["shares"].caption
 
 
 def test_values_after_a_gap_are_drawn_apart(tmp_path):
@@ -87,12 +89,12 @@ def test_values_after_a_gap_are_drawn_apart(tmp_path):
 @pytest.mark.parametrize(("deadline_us", "style"), [(90, "upright"), (300, "upright back"), (400, "upright back")])
 def test_a_deadline_is_named_on_the_side_where_there_is_place(tmp_path, deadline_us, style):
     oneshot_run(tmp_path, "a", latencies(5000, 1))
-    made = plots_of(tmp_path, deadline_ns=1000 * deadline_us)
-    ((told, place, name),) = drawn(made["values"]).limits
-    assert (told, name) == (style, f"deadline {deadline_us} us") and 0 < place <= 100
-    assert not any("deadline" in name for _, _, name in drawn(made["values"]).keys)
-    ((told, _, _),) = drawn(made["course"]).limits
-    assert told == ("level" if deadline_us == 90 else "level back")
+    by_id = plots_of(tmp_path, deadline_ns=1000 * deadline_us)
+    ((side, place, name),) = drawn(by_id["values"]).limits
+    assert (side, name) == (style, f"deadline {deadline_us} us") and 0 < place <= 100
+    assert not any("deadline" in name for _, _, name in drawn(by_id["values"]).keys)
+    ((side, _, _),) = drawn(by_id["course"]).limits
+    assert side == ("level" if deadline_us == 90 else "level back")
 
 
 def test_counts_have_colours_once(tmp_path):
@@ -118,21 +120,21 @@ def test_logs_have_the_plots_that_need_no_order(tmp_path):
 
 def test_a_path_has_the_points_of_its_data_and_a_picture_the_cells(tmp_path):
     oneshot_run(tmp_path, "a", latencies(5000, 1))
-    made = plots_of(tmp_path)
-    for plot in made.values():
+    by_id = plots_of(tmp_path)
+    for plot in by_id.values():
         page = drawn(plot)
         for (kind, _, path), mark in zip(page.paths[1:], page.data["marks"], strict=True):
             numbers = re.findall(r"-?[\d.]+", path)
             per_point = 3 if kind == "dots" else 2
             assert len(numbers) == len(mark["x"]) * per_point * (2 if "low" in mark else 1)
             assert all(0 <= float(number) <= 1000 for number in numbers)
-    page = drawn(made["over-time"])
+    page = drawn(by_id["over-time"])
     png = base64.b64decode(page.picture.removeprefix("data:image/png;base64,"))
     width, height = struct.unpack(">II", png[16:24])
     lines = zlib.decompress(png[png.index(b"IDAT") + 4 : png.index(b"IEND") - 8])
     pixels = np.frombuffer(lines, np.uint8).reshape(height, width + 1)[:, 1:]
-    assert width == made["over-time"].cells.counts.shape[1] and pixels.max() == 255
-    assert ((pixels > 0).any(axis=0) == (made["over-time"].cells.counts > 0).any(axis=0)).all()
+    assert width == by_id["over-time"].cells.counts.shape[1] and pixels.max() == 255
+    assert ((pixels > 0).any(axis=0) == (by_id["over-time"].cells.counts > 0).any(axis=0)).all()
 
 
 @pytest.mark.parametrize(

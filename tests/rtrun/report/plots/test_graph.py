@@ -26,7 +26,7 @@ def random_graph(draw, size):
     for number in range(size):
         taken = draw.sample(range(size), draw.randint(0, min(3, size)))
         is_driven = number and draw.random() < 0.3
-        inputs = sorted({f"/t{draw.randrange(number)}"}) if is_driven else [f"/t{each}" for each in taken]
+        inputs = sorted({f"/t{draw.randrange(number)}"}) if is_driven else [f"/t{topic}" for topic in taken]
         period = "" if is_driven else f"period: {draw.choice([5, 10, 20])}ms, "
         lines.append(f"n{number}: {{{period}inputs: [{', '.join(inputs)}], outputs: [/t{number}], busy: 10us}}")
     return nodes(*lines)
@@ -47,9 +47,9 @@ def test_nothing_stands_over_anything_else_and_each_arrow_leads_from_node_to_nod
     for size in (1, 2, 5, 9, 14, 20):
         record = made_topology(topology_of(tmp_path, random_graph(draw, size)))
         drawn = drawn_topology(measured(record))
-        for one, two in combinations(boxes(drawn), 2):
-            apart = one[2] <= two[0] or two[2] <= one[0] or one[3] <= two[1] or two[3] <= one[1]
-            assert apart, (one, two)
+        for box, other in combinations(boxes(drawn), 2):
+            apart = box[2] <= other[0] or other[2] <= box[0] or box[3] <= other[1] or other[3] <= box[1]
+            assert apart, (box, other)
         assert len(drawn.arrows) == len({(hop.publisher, hop.subscriber) for hop in record.hops})
         corners = {(node.x, node.y): node for node in drawn.nodes}
         assert len(corners) == len(record.nodes)

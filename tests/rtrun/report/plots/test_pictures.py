@@ -84,8 +84,8 @@ def test_without_gnuplot_the_remedy_is_told(log, monkeypatch):
 def test_a_report_needs_no_gnuplot(log, monkeypatch, capsys):
     monkeypatch.setenv("PATH", "/nonexistent")
     assert main(["report", str(log)]) == 0
-    printed, told = capsys.readouterr()
-    assert printed.splitlines()[-1].startswith("file://") and "apt-get install gnuplot-nox" in told
+    printed, errors = capsys.readouterr()
+    assert printed.splitlines()[-1].startswith("file://") and "apt-get install gnuplot-nox" in errors
 
 
 def test_a_report_of_samples_without_logs_draws_nothing(tmp_path):
