@@ -66,7 +66,7 @@ def gate_against(
     return Gate(cases=tuple(sorted(cases, key=lambda case: order.index(case.answer))))
 
 
-def _without_course(runs: Sequence[RunRow], builds: Sequence[Course], of: Measure | None) -> list[tuple[str, str]]:
+def _without_course(runs: Sequence[RunRow], builds: Sequence[Course], measure: Measure | None) -> list[tuple[str, str]]:
     """The runs that are in no course, and why; runs that count allocations are left out, as no course includes them."""
     known = {key for build in builds for run in build.runs for key in run.point.run_keys}
     reasons = []
@@ -76,7 +76,7 @@ def _without_course(runs: Sequence[RunRow], builds: Sequence[Course], of: Measur
         elif row.start_utc is None:
             reasons.append((row.run, "it has no start time, so it has no place in a history"))
         elif row.run_key not in known and not json.loads(row.parameters).get(ALLOCATIONS):
-            reasons.append((row.run, f"it has no {of or 'values'}"))
+            reasons.append((row.run, f"it has no {measure or 'values'}"))
     return reasons
 
 

@@ -52,9 +52,9 @@ def worse_courses(trends: Iterable[Trend], *, confidence: float) -> list[Alarm]:
     alarms = []
     for figures in last.values():
         worse = [
-            one
-            for one in figures.values()
-            if one.is_worse and one.change.low > of_no_concern(one.figure, one.change.before)
+            trend
+            for trend in figures.values()
+            if trend.is_worse and trend.change.low > of_no_concern(trend.figure, trend.change.before)
         ]
         if worse:
             alarms.append(_of_course(worse[0].course, worse, confidence))
@@ -80,7 +80,7 @@ def _of_course(course: Course, worse: Sequence[Trend], confidence: float) -> Ala
         key=_key("worse", *course.identity),
         begins=newest.first_after,
         last_run=course.runs[-1].point.start_utc,
-        levels={one.figure: (one.change.after, one.change.before + one.change.low) for one in worse},
+        levels={trend.figure: (trend.change.after, trend.change.before + trend.change.low) for trend in worse},
         known=known[0].words if known[0] and all(known) else None,
     )
 

@@ -59,7 +59,7 @@ class BinReader:
             for series, bins in _by_series(of_run).items():
                 parts.setdefault(series, []).append(bins)
             low = high
-        return {series: joined(each) for series, each in parts.items()}
+        return {series: joined(pieces) for series, pieces in parts.items()}
 
     def _starts(self, file: TableFile) -> Sequence[int]:
         """The first row of each row group of a pack, and the total number of rows."""
@@ -159,15 +159,15 @@ def figures_of_bins(bins: Sequence[Bins], deadline_ns: int | None) -> Mapping[st
         close &= came & known
         limit_ns = min(value[came & ~known].tolist(), default=None)
         added = value[came], width[came], count[came]
-    values, reached = _added_up(*added, of=len(bins))
+    values, reached = _added_up(*added, number=len(bins))
     percentiles_ns: dict[float, int | None] = dict.fromkeys(PERCENTILES)
     highest_ns: int | None = None
     if values.size:
         # The rank in integers, so that rounding does not shift it.
-        ranks = [-(-int(reached[-1]) * each // 100_000) for each in _PER_100_000]
+        ranks = [-(-int(reached[-1]) * share // 100_000) for share in _PER_100_000]
         at_ranks = values[np.searchsorted(reached, ranks)].tolist()
         *at_percentiles, highest_ns = (
-            each if limit_ns is None or each < limit_ns else None for each in (*at_ranks, int(values[-1]))
+            value_ns if limit_ns is None or value_ns < limit_ns else None for value_ns in (*at_ranks, int(values[-1]))
         )
         percentiles_ns = dict(zip(PERCENTILES, at_percentiles, strict=True))
     is_known = deadline_ns is not None and (limit_ns is None or limit_ns >= deadline_ns)
@@ -180,9 +180,9 @@ def figures_of_bins(bins: Sequence[Bins], deadline_ns: int | None) -> Mapping[st
     }
 
 
-def _added_up(value: Int64s, width: Int64s, count: Int64s, *, of: int) -> tuple[Int64s, Int64s]:
-    """Values of `of` histograms, ascending, and how many measurements are at or below each, shape (k,)."""
-    if of >= _GRID_FROM and value.size and 0 < (step := width.min()) == width.max():
+def _added_up(value: Int64s, width: Int64s, count: Int64s, *, number: int) -> tuple[Int64s, Int64s]:
+    """Values of `number` histograms, ascending, and how many measurements are at or below each, shape (k,)."""
+    if number >= _GRID_FROM and value.size and 0 < (step := width.min()) == width.max():
         # Bins of one clock lie on a grid: adding them up there is much faster than sorting.
         lowest = value.min()
         at, beside = np.divmod(value - lowest, step)

@@ -10,7 +10,7 @@ from rtfiles.output import counted
 from rtfiles.quantities import time
 from rtfiles.untrusted import parse_json
 from rtrun.archive.courses import ArchivedRun, Course
-from rtrun.archive.states import SAID, CourseState
+from rtrun.archive.states import TEXTS, CourseState
 from rtrun.report.terminal import BANNERS
 from rtrun.targets.inspection.platform import Platform
 
@@ -74,10 +74,10 @@ def board_rows(courses: Sequence[tuple[Course, CourseState]]) -> list[BoardRow]:
             part = _Part(course=course, state=state, runs=runs, is_past=kernel not in latest)
             cells = parts.setdefault((course.machine, course.platform, kernel), {})
             cells.setdefault(_column(course), []).append(part)
-    last = {key: max(_start(part.runs[-1]) for each in cells.values() for part in each) for key, cells in parts.items()}
+    last = {key: max(_start(part.runs[-1]) for cell in cells.values() for part in cell) for key, cells in parts.items()}
     grave = {
         (board, platform): min(_gravity(part) for key, cells in parts.items() if key[:2] == (board, platform)
-                               for each in cells.values() for part in each)
+                               for cell in cells.values() for part in cell)
         for board, platform, _ in parts
     }  # fmt: skip
 
@@ -90,7 +90,7 @@ def board_rows(courses: Sequence[tuple[Course, CourseState]]) -> list[BoardRow]:
             kernel=kernel,
             last_run=f"{last[board, platform, kernel]:%Y-%m-%d}",
             banner=BANNERS.get(Platform(platform), "").partition(":")[0],
-            cells={name: _cell(each) for name, each in parts[board, platform, kernel].items()},
+            cells={name: _cell(cell) for name, cell in parts[board, platform, kernel].items()},
         )
         for board, platform, kernel in sorted(parts, key=place)
     ]
@@ -110,7 +110,7 @@ def _column(course: Course) -> str:
 
 def _gravity(part: _Part) -> int:
     """0 is the gravest state; past kernels come last."""
-    return len(SAID) if part.is_past else list(SAID).index(part.state.word)
+    return len(TEXTS) if part.is_past else list(TEXTS).index(part.state.word)
 
 
 def _cell(parts: Sequence[_Part]) -> BoardCell:

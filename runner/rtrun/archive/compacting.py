@@ -160,8 +160,8 @@ def _remove_superseded(store: Store, table: str, gone: Container[str], before: d
     for file in files.packs:
         if all(key in gone or key in since for key in file.rows):
             superseded.append((file.path, [since[key] for key in file.rows if key not in gone]))
-        made = _made(store, file)
-        since |= {key: min(made, since.get(key, made)) for key in file.rows}
+        packed_at = _packed_at(store, file)
+        since |= {key: min(packed_at, since.get(key, packed_at)) for key in file.rows}
     for key, path in files.alone.items():
         if key in gone or key in since:
             superseded.append((path, [] if key in gone else [since[key]]))
@@ -175,10 +175,10 @@ def _words(path: str) -> list[str]:
     return name_of(path).removeprefix(PACK).split("-")
 
 
-def _made(store: Store, pack: TableFile) -> datetime:
+def _packed_at(store: Store, pack: TableFile) -> datetime:
     """When a pack was made, in UTC, by the clock of the machine that made it."""
     stamp, *rest = _words(pack.path)
-    made = next((moment for text in [*rest[:1], stamp] if (moment := read_stamp(text)) is not None), None)
-    if made is None:
+    packed_at = next((moment for text in [*rest[:1], stamp] if (moment := read_stamp(text)) is not None), None)
+    if packed_at is None:
         raise damaged(store, f"{pack.path}: no name of a pack, as {PACK}20261124T101500Z-...")
-    return made
+    return packed_at

@@ -109,8 +109,8 @@ class Course:
         if figure == "P(miss)":
             return np.array([misses / n for n, misses in self.misses()])
         percent = PERCENTS[figure]
-        each = np.array([float(run.point.percentiles_ns[percent] or 0) for run in self.runs])
-        return means_of_units(each, [run.boot for run in self.runs])
+        values = np.array([float(run.point.percentiles_ns[percent] or 0) for run in self.runs])
+        return means_of_units(values, [run.boot for run in self.runs])
 
     def misses(self) -> list[tuple[int, int]]:
         """(measurements, misses) of each boot."""
@@ -127,13 +127,13 @@ def courses(archive: Archive, *, deadline_ns: int | None, of: Measure | None = N
     ]
     runs.sort(key=lambda run: (*_identity(run), run.point.start_utc, run.point.label))
     missed = Counter((row.suite, row.parameters, row.platform, row.machine) for row in archive.runs if row.off_rate)
-    made = []
+    found = []
     for (suite, _, parameters, platform, machine), members in groupby(runs, _identity):
         course = Course(runs=tuple(members), off_rate=missed[suite, parameters, platform, machine])
         notes, scenario = archive.notes, course.scenario
         known = tuple(notes.known(machine, scenario))
-        made.append(replace(course, accepted=notes.accepted(machine, scenario), known=known))
-    return made
+        found.append(replace(course, accepted=notes.accepted(machine, scenario), known=known))
+    return found
 
 
 def _knows(point: Point, figure: Figure) -> bool:

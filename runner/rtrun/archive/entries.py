@@ -52,12 +52,12 @@ def read_entries(store: Store, kind: EntryKind[Entry]) -> Iterator[tuple[str, En
     """
     found = read_small_files(store, kind.folder, ".json", most=kind.entries_max, max_bytes=kind.bytes_max)
     named = [(path.rpartition("/")[2].removesuffix(".json"), path, content) for path, content in found]
-    for name, path, content in sorted(named, key=lambda each: (stamp_of(each[0]), each[0])):
+    for name, path, content in sorted(named, key=lambda entry: (stamp_of(entry[0]), entry[0])):
         try:
             yield name, kind.reader.validate_json(content)
         except ValidationError as error:
             (first, *_) = error.errors()
-            where = ".".join(str(each) for each in first["loc"])
+            where = ".".join(str(key) for key in first["loc"])
             raise UsageError(f"{store.address}: {path}: {where}: {first['msg']}") from error
 
 

@@ -99,7 +99,7 @@ def places(store: Store, table: str) -> dict[str, RowRange]:
     found = {key: RowRange(file, *file.rows[key]) for key, file in files.newest().items()}
     others = [(key, path) for key, path in files.alone.items() if key not in found]
     with ThreadPoolExecutor(store.at_once) as threads:
-        footers = threads.map(lambda each: _footer(store, each[1]), others)
+        footers = threads.map(lambda other: _footer(store, other[1]), others)
         for (key, path), footer in zip(others, footers, strict=True):
             rows = {key: (0, footer.num_rows)}
             found[key] = RowRange(TableFile(path=path, footer=footer, rows=rows), *rows[key])

@@ -125,7 +125,7 @@ class BoardHealth:
     @property
     def failed(self) -> list[ScenarioHealth]:
         """The scenarios whose last run failed."""
-        return [each for each in self.scenarios if each.failures]
+        return [scenario for scenario in self.scenarios if scenario.failures]
 
     @property
     def is_new(self) -> bool:
@@ -151,7 +151,7 @@ def boards_of(runs: Iterable[RunRow], farm: Farm | None) -> list[BoardHealth]:
     places = {place.name: place for place in farm.places} if farm else {}
     offered = farm.offered if farm else ()
     boards = [_board(name, of_board.get(name, []), places.get(name), offered) for name in {*of_board, *places}]
-    return sorted(boards, key=lambda one: (not one.is_ill, one.board))
+    return sorted(boards, key=lambda board: (not board.is_ill, board.board))
 
 
 def reason_of(row: RunRow) -> str:
@@ -162,8 +162,8 @@ def reason_of(row: RunRow) -> str:
 def counts_in_words(boards: Sequence[BoardHealth]) -> str:
     """How many boards are in each state; one that is in several counts in each."""
     counts = Counter(word for board in boards for word in board.states)
-    said = [f"{counts[word]} {text}" for word, text in STATES.items() if counts[word]]
-    return f"{counted(len(boards), 'board')}: {', '.join(said)}"
+    texts = [f"{counts[word]} {text}" for word, text in STATES.items() if counts[word]]
+    return f"{counted(len(boards), 'board')}: {', '.join(texts)}"
 
 
 def _board(

@@ -72,9 +72,9 @@ def _of_boards(boards: Sequence[BoardHealth]) -> Iterator[_Sample]:
     """What is known about each board; what only a farm knows appears only for its places."""
     for board in boards:
         labels = {"machine": board.board}
-        for each in board.scenarios:
-            of_scenario = {name: getattr(each.last, name) for name in ("scenario", "machine", "platform")}
-            yield "rtrun_run_failed", of_scenario, bool(each.failures)
+        for scenario in board.scenarios:
+            of_scenario = {name: getattr(scenario.last, name) for name in ("scenario", "machine", "platform")}
+            yield "rtrun_run_failed", of_scenario, bool(scenario.failures)
         yield "rtrun_board_failed_scenarios", labels, len(board.failed)
         yield "rtrun_board_new", labels, board.is_new
         if board.in_farm:

@@ -200,5 +200,5 @@ def in_words(name: str, note: HeldNote) -> str:
 
 
 def _selected(note: IgnoreNote | AcceptNote | KnownNote, names: Iterable[str]) -> str:
-    told: Sequence[str] = [f"{name} {text}" for name in names if (text := getattr(note, name)) is not None]
-    return ", ".join(told) or "all"
+    texts: Sequence[str] = [f"{name} {text}" for name in names if (text := getattr(note, name)) is not None]
+    return ", ".join(texts) or "all"

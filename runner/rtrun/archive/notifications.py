@@ -49,31 +49,31 @@ def check_memory(store: Store, messages: Sequence[Notification], more: int) -> N
 
 def add_told(store: Store, receiver: str, alarms: Collection[Alarm], now: datetime) -> None:
     """Record that a receiver was notified of alarms. Raises UsageError, InfrastructureError."""
-    told = [
+    notified = [
         NotifiedAlarm(
-            key=one.key, last_run=one.last_run, levels={name: level for name, (level, _) in one.levels.items()}
+            key=alarm.key, last_run=alarm.last_run, levels={name: level for name, (level, _) in alarm.levels.items()}
         )
-        for one in alarms
+        for alarm in alarms
     ]
-    message = Notification(schema=1, at=now, receiver=receiver, alarms=told)
+    message = Notification(schema=1, at=now, receiver=receiver, alarms=notified)
     add_entry(store, _KIND, message, now)
 
 
 def not_told(receiver: str, alarms: Sequence[Alarm], messages: Sequence[Notification]) -> list[Alarm]:
     """The alarms that a receiver has not received yet, without known ones."""
-    told: dict[str, NotifiedAlarm] = {}
+    notified: dict[str, NotifiedAlarm] = {}
     for message in messages:
         if message.receiver == receiver:
-            told |= {each.key: each for each in message.alarms}  # the last one counts
-    return [alarm for alarm in alarms if alarm.known is None and _is_new(alarm, told.get(alarm.key))]
+            notified |= {alarm.key: alarm for alarm in message.alarms}  # the last one counts
+    return [alarm for alarm in alarms if alarm.known is None and _is_new(alarm, notified.get(alarm.key))]
 
 
-def _is_new(alarm: Alarm, told: NotifiedAlarm | None) -> bool:
-    if told is None:
+def _is_new(alarm: Alarm, notified: NotifiedAlarm | None) -> bool:
+    if notified is None:
         return True
-    if alarm.begins and told.last_run and alarm.begins > told.last_run:
+    if alarm.begins and notified.last_run and alarm.begins > notified.last_run:
         return True
     return any(
-        name in told.levels and above > told.levels[name] + of_no_concern(name, told.levels[name])
+        name in notified.levels and above > notified.levels[name] + of_no_concern(name, notified.levels[name])
         for name, (_, above) in alarm.levels.items()
     )

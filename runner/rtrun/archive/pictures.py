@@ -25,13 +25,13 @@ def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int | 
     seconds = np.array([_seconds(point.start_utc) for point in points])
     along = axes.dates("start of the run, UTC", seconds.min(), seconds.max())
     values = {name: _numbers([point.times_ns[name] for point in points]) for name in points[0].times_ns}
-    known = np.concatenate([each[np.isfinite(each)] for each in values.values()])
+    known = np.concatenate([numbers[np.isfinite(numbers)] for numbers in values.values()])
     plots = []
     if known.size:
         shows_limit = deadline_ns is not None and bool(deadline_ns <= _LIMIT_SPAN * known.max())
         title = in_words(points[0].suite, points[0].series)
         up = axes.times(title, _scale([*known, *([deadline_ns] if deadline_ns and shows_limit else [])]))
-        marks = [_line(k, name, seconds, each) for k, (name, each) in zip(_COLOURS, values.items(), strict=True)]
+        marks = [_line(k, name, seconds, numbers) for k, (name, numbers) in zip(_COLOURS, values.items(), strict=True)]
         if deadline_ns is not None:
             name = f"deadline {time(deadline_ns)}{'' if shows_limit else ', above the top'}"
             limit = ([along.scale.low, along.scale.high], [deadline_ns] * 2) if shows_limit else ([], [])
@@ -42,7 +42,7 @@ def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int | 
                 caption="Percentiles and the highest value of each run. A dotted line is a change.",
                 x=along,
                 y=up,
-                marks=[*marks, *_changes([one for one in trends if one.figure != "P(miss)"], up)],
+                marks=[*marks, *_changes([trend for trend in trends if trend.figure != "P(miss)"], up)],
             )
         )
     if deadline_ns is not None and any(point.p_miss for point in points):
@@ -56,7 +56,7 @@ def course_plots(course: Course, trends: Sequence[Trend], *, deadline_ns: int | 
                 y=up,
                 marks=[
                     _line(1, f"P(> {time(deadline_ns)})", seconds, shares),
-                    *_changes([one for one in trends if one.figure == "P(miss)"], up),
+                    *_changes([trend for trend in trends if trend.figure == "P(miss)"], up),
                 ],
             )
         )
@@ -90,7 +90,7 @@ def _line(colour: int, name: str, x: Floats, y: Floats) -> Mark:
 def _changes(trends: Sequence[Trend], up: Axis) -> list[Mark]:
     ends = [up.scale.low, up.scale.high]
     return [
-        make_mark("limit", f"{one.figure} {one.word.lower()}", [_seconds(one.first_after)] * 2, ends, 1)
-        for one in trends
-        if one.first_after is not None
+        make_mark("limit", f"{trend.figure} {trend.word.lower()}", [_seconds(trend.first_after)] * 2, ends, 1)
+        for trend in trends
+        if trend.first_after is not None
     ]

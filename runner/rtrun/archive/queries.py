@@ -119,9 +119,9 @@ def figures(archive: Archive, by: By, *, deadline_ns: int | None, of: Measure | 
     number = _threads(archive.store, held)
     with ThreadPoolExecutor(number) as threads:
         # Handing such small work to a single thread takes as long as computing it.
-        each = threads.map if number > 1 else map
-        made = each(lambda group: list(_points(archive, reader, group, deadline_ns, of)), groups)
-        points = [point for of_group in made for point in of_group]
+        apply = threads.map if number > 1 else map
+        of_groups = apply(lambda group: list(_points(archive, reader, group, deadline_ns, of)), groups)
+        points = [point for of_group in of_groups for point in of_group]
     return sorted(points, key=lambda point: (point.scenario, point.parameters, point.platform))
 
 
@@ -170,7 +170,7 @@ def _known(archive: Archive, group: _Group) -> Iterator[RunRow]:
 
 
 def _points(
-    archive: Archive, reader: BinReader, group: _Group, deadline_ns: int | None, of: Measure | None
+    archive: Archive, reader: BinReader, group: _Group, deadline_ns: int | None, measure: Measure | None
 ) -> Iterator[Point]:
     of_series: dict[str, list[RunRow]] = {}
     bins: dict[str, list[Bins]] = {}
@@ -178,8 +178,8 @@ def _points(
     for row in _known(archive, group):
         place = archive.histograms[row.run_key]
         if held + place.number > ROWS_MAX:
-            bins = {series: [merged(each)] for series, each in bins.items()}
-            held = sum(each[0][0].size for each in bins.values())
+            bins = {series: [merged(pieces)] for series, pieces in bins.items()}
+            held = sum(pieces[0][0].size for pieces in bins.values())
         if held + place.number > ROWS_MAX:
             what = f"{row.scenario} on {row.machine}: the histograms of {len(group.runs)} runs"
             raise UsageError(
@@ -187,7 +187,7 @@ def _points(
                 f"most {ROWS_MAX} are held: ask for fewer runs together (--by month, day or run)"
             )
         read = reader.read(place)
-        if (series := _series_of(row.suite, tuple(read), of)) is not None:
+        if (series := _series_of(row.suite, tuple(read), measure)) is not None:
             of_series.setdefault(series, []).append(row)
             bins.setdefault(series, []).append(read[series])
             held += read[series][0].size
@@ -196,12 +196,12 @@ def _points(
 
 
 @cache
-def _series_of(suite: str, names: tuple[str, ...], of: Measure | None) -> str | None:
+def _series_of(suite: str, names: tuple[str, ...], asked: Measure | None) -> str | None:
     """Which of these series of a run the question is about; None if it is about none."""
     known = {called(name): name for name in names}
     wanted = measures(suite)
     try:
-        wanted = wanted if of is None else (judged(wanted, of),)
+        wanted = wanted if asked is None else (judged(wanted, asked),)
     except UsageError:
         return None
     return next((known[measure] for measure in wanted if measure in known), None)
@@ -220,8 +220,8 @@ def _point(group: _Group, series: str, runs: Sequence[RunRow], bins: Sequence[Bi
         kernel=row.kernel_release,
         label=group.label,
         start_utc=row.start_utc,
-        run_keys=tuple(each.run_key for each in runs),
+        run_keys=tuple(run.run_key for run in runs),
         off_rate=group.off_rate,
-        boots=len({each.boot for each in runs}),
+        boots=len({run.boot for run in runs}),
         **figures_of_bins(bins, deadline_ns),
     )

@@ -183,7 +183,7 @@ def _check_size(file: "ParquetFile") -> None:
     size = 0
     for group in map(footer.row_group, range(footer.num_row_groups)):
         columns = map(group.column, range(group.num_columns))
-        size += sum(each.total_uncompressed_size for each in columns if each.path_in_schema in _TEXTS)
+        size += sum(column.total_uncompressed_size for column in columns if column.path_in_schema in _TEXTS)
     if size > _TEXT_BYTES_MAX:
         raise ValueError(f"{size} bytes of texts, at most {_TEXT_BYTES_MAX} are read")
 

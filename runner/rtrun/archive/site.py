@@ -20,7 +20,7 @@ from rtrun.archive.fleet import BoardHealth, ScenarioHealth, counts_in_words, re
 from rtrun.archive.metrics import grafana_dashboard, open_metrics
 from rtrun.archive.pictures import course_plots
 from rtrun.archive.queries import SHOWN
-from rtrun.archive.states import HISTORY, JUDGED_FROM, SAID, CourseState, state_of
+from rtrun.archive.states import HISTORY, JUDGED_FROM, TEXTS, CourseState, state_of
 from rtrun.archive.trends import Trend, as_text, shown_time
 from rtrun.report.html_pages import script, templates
 from rtrun.report.plots.drawing import drawn
@@ -71,7 +71,7 @@ def write_site(
     rows = board_rows([(card["course"], card["state"]) for card in cards])
     worse = {row.board for row in rows if any(cell.state == "WORSE" for cell in row.cells.values())}
     health = [_health(board) for board in boards]
-    failed = [_failed_row(board, each) for board in boards for each in board.failed]
+    failed = [_failed_row(board, scenario) for board in boards for scenario in board.failed]
     pages = {
         "index.html": front.render(cards=cards, **words),
         BOARDS_PAGE: overview.render(
@@ -107,13 +107,13 @@ def _health(board: BoardHealth) -> dict[str, Any]:
         "IDLE": ("proven", "✓ IDLE"),
         "OK": ("proven", "✓ no run failed"),
     }
-    said = [texts[word] for word in board.states]
+    states = [texts[word] for word in board.states]
     if board.failed_check:
-        said.append(("more", f"? failed its last check: {in_words(board.failed_check)}"))
+        states.append(("more", f"? failed its last check: {in_words(board.failed_check)}"))
     last = board.last_failed
     return {
         "board": board.board,
-        "said": said,
+        "states": states,
         "what": ", ".join(board.description),
         "command_line": board.command_line,
         "last_seen": shown_time(board.last_seen) if board.last_seen else "never",
@@ -174,18 +174,18 @@ def _judged(rows: Sequence[BoardRow], worse: Collection[str]) -> str:
     """How many boards got worse, and how many cannot be judged yet, in one sentence."""
     known = {row.board for row in rows}
     new = known - {row.board for row in rows for cell in row.cells.values() if cell.state not in ("", "NEW")}
-    said = []
+    sentences = []
     if worse:
-        said.append(f"✗ Something got worse on {len(worse)} of {counted(len(known), 'board')}")
+        sentences.append(f"✗ Something got worse on {len(worse)} of {counted(len(known), 'board')}")
     elif len(new) < len(known):
-        said.append("Nothing got worse")
+        sentences.append("Nothing got worse")
     if new:
-        said.append(f"{len(new)} of {counted(len(known), 'board')} too new to judge")
-    return "; ".join(said) or "Nothing is known yet"
+        sentences.append(f"{len(new)} of {counted(len(known), 'board')} too new to judge")
+    return "; ".join(sentences) or "Nothing is known yet"
 
 
 def _answer(states: Sequence[CourseState]) -> str:
     """What is known about all courses, in one sentence."""
     counts = Counter(state.word for state in states)
-    said = [f"{counts[word]} {text}" for word, text in SAID.items() if counts[word]] or ["nothing is known yet"]
-    return f"Of {counted(len(states), 'scenario')} {', '.join(said)}."
+    texts = [f"{counts[word]} {text}" for word, text in TEXTS.items() if counts[word]] or ["nothing is known yet"]
+    return f"Of {counted(len(states), 'scenario')} {', '.join(texts)}."

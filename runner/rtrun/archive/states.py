@@ -9,7 +9,7 @@ from rtrun.archive.trends import Trend
 
 JUDGED_FROM = LEAST_BOOTS + 1  # the first boot that is held against a history
 HISTORY = f"a history takes {LEAST_BOOTS} boots, and boot {JUDGED_FROM} is the first that is judged"
-SAID = {
+TEXTS = {
     "WORSE": "got worse",
     "BETTER": "got better",
     "KNOWN": "got worse, which is known",

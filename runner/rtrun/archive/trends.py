@@ -104,7 +104,7 @@ def changed_facts(before: Sequence[Sequence[ArchivedRun]], after: Sequence[Seque
     for name in names:
         values = [[", ".join(facts_of(boot, name)) or "not known" for boot in level] for level in (before, after)]
         if any(map(_comes_and_goes, values)):
-            sides = [sorted({*each}) for each in values]
+            sides = [sorted({*side}) for side in values]
         else:
             sides = [values[0][-1:], values[1][:1]]
         if sides[0] != sides[1]:

@@ -63,8 +63,8 @@ def rtrun(requests, *words):
 
 
 def history(requests, archive):
-    said, count = rtrun(requests, "history", archive, "--by", "kernel", "--json")
-    points = json.loads(said)["points"]
+    printed, count = rtrun(requests, "history", archive, "--by", "kernel", "--json")
+    points = json.loads(printed)["points"]
     return sum(point["n"] for point in points), sum(len(point["run_keys"]) for point in points), count
 
 
@@ -79,11 +79,11 @@ def test_few_files_and_many_answer_alike(bucket, requests, tmp_path):
     upload(bucket, write_course(tmp_path / "archive", [100.0] * 20))
     before = history(requests, "s3://lab/archive")
     assert before[:2] == (40 * 4000, 40)
-    said, _ = rtrun(requests, "archive", "compact", "s3://lab/archive")
-    assert said.startswith("80 files put into 2, 0 removed")
+    printed, _ = rtrun(requests, "archive", "compact", "s3://lab/archive")
+    assert printed.startswith("80 files put into 2, 0 removed")
     assert history(requests, "s3://lab/archive")[:2] == before[:2]
-    said, _ = rtrun(requests, "archive", "compact", "s3://lab/archive", "--grace", "1ns")
-    assert said.startswith("0 files put into 0, 80 removed")
+    printed, _ = rtrun(requests, "archive", "compact", "s3://lab/archive", "--grace", "1ns")
+    assert printed.startswith("0 files put into 0, 80 removed")
     after = history(requests, "s3://lab/archive")
     assert after[:2] == before[:2] and after[2] < 20 < 80 < before[2]
 

@@ -71,7 +71,7 @@ def prometheus(site, tmp_path):
             except OSError:
                 known = []
             if len(known) == series:
-                return {each["metric"].get("job"): float(each["value"][1]) for each in known}
+                return {sample["metric"].get("job"): float(sample["value"][1]) for sample in known}
             time.sleep(0.25)
         raise AssertionError(f"{known}\n{(tmp_path / 'log').read_text()[-2000:]}")
 
@@ -82,8 +82,8 @@ def prometheus(site, tmp_path):
 
 
 def test_what_was_measured_months_ago_is_there_in_both_ways(prometheus, site):
-    told = prometheus('rtrun_value_seconds{percentile="50"}', series=2)
-    assert told.keys() == {"web", "node"} and len({*told.values()}) == 1 and 9e-5 < told["web"] < 1.1e-4
+    values = prometheus('rtrun_value_seconds{percentile="50"}', series=2)
+    assert values.keys() == {"web", "node"} and len({*values.values()}) == 1 and 9e-5 < values["web"] < 1.1e-4
     assert (
         prometheus("rtrun_run_start_time_seconds", series=2)["node"] == datetime(2026, 1, 8, 11, tzinfo=UTC).timestamp()
     )

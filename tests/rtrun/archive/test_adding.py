@@ -85,10 +85,10 @@ def test_the_circumstances_of_a_run(tmp_path, archive):
     words = ["--commit", "abc", "--image", "i1", "--package", "roscpp=1.17", "--package", "a=2"]
     main(["archive", "add", str(tmp_path / "results"), "--to", str(archive), *words])
     (row,) = pyarrow.parquet.read_table(archive / "runs").to_pylist()
-    told = {"machine": "panda 3", "commit": "abc", "image": "i1", "kernel_release": "6.1.0-rt", "boot_id": "b1"}
-    told |= {"condition": "cpu80", "temperature_max_mc": 47_500, "load_1min_max": 2.0, "middleware_version": "1.16.0"}
-    told |= {"status": "ok", "platform": "hardware", "scenario": "oneshot_timer RR 1000 us condition=cpu80"}
-    assert {name: row[name] for name in told} == told
+    facts = {"machine": "panda 3", "commit": "abc", "image": "i1", "kernel_release": "6.1.0-rt", "boot_id": "b1"}
+    facts |= {"condition": "cpu80", "temperature_max_mc": 47_500, "load_1min_max": 2.0, "middleware_version": "1.16.0"}
+    facts |= {"status": "ok", "platform": "hardware", "scenario": "oneshot_timer RR 1000 us condition=cpu80"}
+    assert {name: row[name] for name in facts} == facts
     assert json.loads(row["packages"]) == {"roscpp": "1.17", "a": "2"}
     assert json.loads(row["record"])["run"] == "000-oneshot"
     assert f"{row['start_utc']:%F %T}" == "2026-11-21 10:00:00"
@@ -266,8 +266,8 @@ def test_a_writer_that_comes_while_another_one_makes_the_archive(results, archiv
     command = ["archive", "add", str(results), "--to", str(archive)]
     schema_of, others = store._schema_of, [command]
 
-    def look(each):
-        seen = schema_of(each)
+    def look(opened):
+        seen = schema_of(opened)
         if others:
             assert main(others.pop()) == 0
         return seen

@@ -29,12 +29,12 @@ ASKED = (["--by", "day"], ["--by", "run"], ["--by", "kernel", "--of", "jitter"],
 
 
 def answers(capsys, archive, asked=ASKED):
-    said = []
+    points = []
     for words in asked:
         assert main(["history", str(archive), "--json", *words]) == 0
-        said.append(json.loads(capsys.readouterr().out)["points"])
-    assert said[0]
-    return said
+        points.append(json.loads(capsys.readouterr().out)["points"])
+    assert points[0]
+    return points
 
 
 def files(archive, table="runs"):

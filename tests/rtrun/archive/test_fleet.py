@@ -82,7 +82,7 @@ def test_what_failed_is_told_once_for_each_row_of_failures(archive):
 def test_every_status_but_ok_is_a_failure(tmp_path, status):
     write_failed(tmp_path / "archive", DEAD, None, status=status)
     (board,) = boards_of(read_archive(open_archive(str(tmp_path / "archive"))).runs, None)
-    assert [each.reason for each in board.failed] == [status] and board.is_ill and board.is_new
+    assert [scenario.reason for scenario in board.failed] == [status] and board.is_ill and board.is_new
     assert board.last_seen is None and board.last_run == DEAD
 
 
@@ -125,7 +125,7 @@ def test_the_state_of_each_board_at_a_glance(archive):
         "board": ["MEASURING"], "dead": ["FAILED"], "young": ["NEW", "IDLE"],
     }  # fmt: skip
     assert counts_in_words(boards) == "3 boards: 1 failed in the last run, 1 new, 1 measuring, 1 idle"
-    (board,) = (one for one in boards if one.board == "board")
+    (board,) = (board for board in boards if board.board == "board")
     assert not board.failed and board.last_failed.reason == DIED
 
 
@@ -276,9 +276,9 @@ def test_a_real_farm_on_the_page_in_the_metrics_and_told(capsys, archive, lab, t
 def test_a_coordinator_that_is_gone_hides_nothing(capsys, archive, tmp_path, monkeypatch):
     gone = f"127.0.0.1:{free_port()}"
     monkeypatch.setenv("LG_COORDINATOR", gone)
-    pages, said = site(capsys, archive, status=3)
+    pages, printed = site(capsys, archive, status=3)
     page = (pages / "boards.html").read_text()
-    assert gone in said and "Which boards are offline or in quarantine is not known: " in page and gone in page
+    assert gone in printed and "Which boards are offline or in quarantine is not known: " in page and gone in page
     assert len(rows(page, "failed")) == 2
     log = {"name": "log", "kind": "command", "command": ["sh", "-c", f"cat >>{tmp_path}/heard"]}
     config = {"schema": 1, "coordinator": gone, "receivers": [log]}

@@ -28,8 +28,8 @@ def archive(tmp_path):
 
 def rtrun(capsys, *words, status=0):
     assert main([*map(str, words)]) == status
-    said = capsys.readouterr()
-    return said.out + said.err
+    printed = capsys.readouterr()
+    return printed.out + printed.err
 
 
 def trends(capsys, archive):
@@ -46,11 +46,11 @@ def test_ignored_runs_count_nowhere_until_that_is_withdrawn(capsys, archive, tmp
     assert {change["index_boot"] for change in trends(capsys, archive)} == {22}
     ignore = ("archive", "annotate", archive, "--ignore", "--reason", "bad cooling", *WHO)
     words = ("--machine", "boa*", "--from", "2026-01-23", "--to", "2026-02-01")
-    said = rtrun(capsys, *ignore, *words)
-    assert said.startswith("8 runs of 68: ") and "machine boa*" in said and "bad cooling (E. Noether, 20" in said
+    out = rtrun(capsys, *ignore, *words)
+    assert out.startswith("8 runs of 68: ") and "machine boa*" in out and "bad cooling (E. Noether, 20" in out
     assert trends(capsys, archive) == []
-    said = rtrun(capsys, "history", archive, "--by", "board")
-    assert "rtrun: 8 runs ignored: bad cooling (E. Noether, " in said and " 44     22  " in said
+    out = rtrun(capsys, "history", archive, "--by", "board")
+    assert "rtrun: 8 runs ignored: bad cooling (E. Noether, " in out and " 44     22  " in out
     assert rtrun(capsys, "history", archive, "--by", "day", "--json").count('"label": "2026-01-24"') == 0
     rtrun(capsys, "site", archive, "--output", tmp_path / "site")
     assert not any("2026-01-24 10:00" in page.read_text() for page in (tmp_path / "site").glob("*.html"))
@@ -70,13 +70,13 @@ def test_an_accepted_level_is_what_a_build_is_held_against(capsys, tmp_path):
     assert "  WORSE  " in rtrun(capsys, *gate, status=1)
     accept = ("archive", "annotate", archive, "--accept", "--reason", "mitigations on", *WHO, "--machine", "board")
     assert "accepted from 2026-01-19 00:00 on: machine board" in rtrun(capsys, *accept, "--from", "2026-01-19")
-    said = rtrun(capsys, *gate)
-    assert "NOT WORSE" in said and "since its level was accepted from 2026-01-19 on: mitigations on (E. No" in said
+    out = rtrun(capsys, *gate)
+    assert "NOT WORSE" in out and "since its level was accepted from 2026-01-19 on: mitigations on (E. No" in out
     assert "WORSE" in rtrun(capsys, "gate", write_build(tmp_path / "b", 140.0, 140.0), "--against", archive, status=1)
     for change in trends(capsys, archive):
         assert not change["worse"] and change["accepted"].startswith("mitigations on")
-    said = rtrun(capsys, "trends", archive)
-    assert "accepted  oneshot_timer RR 1000 us on board: p50" in said and "WORSE" not in said
+    out = rtrun(capsys, "trends", archive)
+    assert "accepted  oneshot_timer RR 1000 us on board: p50" in out and "WORSE" not in out
     rtrun(capsys, "site", archive, "--output", tmp_path / "site")
     page = (tmp_path / "site" / "index.html").read_text()
     assert "Of 1 scenario 1 got worse, which was accepted." in page and "✓ ACCEPTED: p50, p99" in page
@@ -92,10 +92,8 @@ def test_a_level_accepted_lately_has_no_history_yet(capsys, tmp_path):
     archive = write_course(tmp_path / "archive", [100.0] * 8)
     accept = ("--accept", "--reason", "new", "--from", "2026-01-07T00:00+02:00", *WHO)
     rtrun(capsys, "archive", "annotate", archive, *accept)
-    said = rtrun(capsys, "gate", write_build(tmp_path / "build", 100.0), "--against", archive, status=1)
-    assert (
-        "NO HISTORY" in said and "2 boots of it are in the archive, 5 are needed since its level was accepted" in said
-    )
+    out = rtrun(capsys, "gate", write_build(tmp_path / "build", 100.0), "--against", archive, status=1)
+    assert "NO HISTORY" in out and "2 boots of it are in the archive, 5 are needed since its level was accepted" in out
 
 
 def test_rows_are_kept_as_long_as_was_said(capsys, tmp_path):
@@ -128,7 +126,7 @@ def test_rows_are_kept_as_long_as_was_said(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("annotate", "--machine", "board", "--reason", "x"), "say what of these runs: --ignore, --accept or --known"),
         (("annotate", "--ignore", "--reason", "x"), "--ignore: say which runs"),
@@ -149,9 +147,9 @@ def test_rows_are_kept_as_long_as_was_said(capsys, tmp_path):
         ),
     ],
 )
-def test_what_makes_no_note(capsys, archive, words, said):
+def test_what_makes_no_note(capsys, archive, words, message):
     action, *rest = words
-    assert said in rtrun(capsys, "archive", action, archive, *rest, status=2)
+    assert message in rtrun(capsys, "archive", action, archive, *rest, status=2)
     assert not (archive / "notes").exists()
 
 

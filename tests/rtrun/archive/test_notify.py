@@ -95,8 +95,8 @@ def lab(tmp_path):
 
 def notify(capsys, lab, *words, status=0):
     assert main([*lab.words, *map(str, words)]) == status
-    said = capsys.readouterr()
-    return said.out + said.err
+    printed = capsys.readouterr()
+    return printed.out + printed.err
 
 
 def annotate(lab, *words):
@@ -120,8 +120,8 @@ def test_each_receiver_is_told_once_with_what_it_needs_to_know(capsys, lab):
     for text in (posted["text"], mail.get_content(), lab.commands.read_text()):
         assert "WORSE  oneshot_timer RR 1000 us on board" in text and "suspected: kernel: 6.1 -> 6.6" in text
         assert alarm["link"] in text and "steady" not in text
-    said = notify(capsys, lab)
-    assert "\n1 thing wrong\n" in said and "was told" not in said and len(lab.posts) == len(lab.mails) == 1
+    printed = notify(capsys, lab)
+    assert "\n1 thing wrong\n" in printed and "was told" not in printed and len(lab.posts) == len(lab.mails) == 1
     # A day more of the same is nothing new; a further step is.
     write_course(lab.archive, [*WORSE, 120.0], facts=FACTS)
     notify(capsys, lab)
@@ -133,8 +133,8 @@ def test_each_receiver_is_told_once_with_what_it_needs_to_know(capsys, lab):
 
 def test_who_could_not_be_told_is_told_the_next_time_and_the_others_are_not(capsys, lab):
     lab.status, lab.refuses_mail = 302, True
-    said = notify(capsys, lab, status=3)
-    assert "chat: not told: HTTP Error 302" in said and "on call: not told: " in said and "451" in said
+    printed = notify(capsys, lab, status=3)
+    assert "chat: not told: HTTP Error 302" in printed and "on call: not told: " in printed and "451" in printed
     assert lab.commands.read_text().count("WORSE") == 1
     lab.status, lab.refuses_mail = 204, False
     notify(capsys, lab)
@@ -144,11 +144,11 @@ def test_who_could_not_be_told_is_told_the_next_time_and_the_others_are_not(caps
 
 def test_what_is_known_calls_nobody_until_it_gets_worse_again(capsys, lab):
     annotate(lab, "--known", "--machine", "bo*", "--scenario", "oneshot*")
-    said = notify(capsys, lab)
-    assert "known: oneshot_timer RR 1000 us on board: ticket 7 (E. Noether, " in said and not lab.posts
+    printed = notify(capsys, lab)
+    assert "known: oneshot_timer RR 1000 us on board: ticket 7 (E. Noether, " in printed and not lab.posts
     assert main(["trends", str(lab.archive)]) == 0
-    said = capsys.readouterr().out
-    assert "WORSE  oneshot_timer" in said and "known: ticket 7" in said
+    printed = capsys.readouterr().out
+    assert "WORSE  oneshot_timer" in printed and "known: ticket 7" in printed
     assert main(["site", str(lab.archive), "--output", str(lab.archive.parent / "site")]) == 0
     page = (lab.archive.parent / "site" / "index.html").read_text()
     assert "1 got worse, which is known" in page and "✗ WORSE, known: p50, p99" in page
@@ -156,8 +156,8 @@ def test_what_is_known_calls_nobody_until_it_gets_worse_again(capsys, lab):
     (path,) = (lab.archive / "notes").iterdir()
     path.write_text(json.dumps({**json.loads(path.read_text()), "at": "2026-01-12T00:00:00"}))
     write_course(lab.archive, [*WORSE, *[150.0] * 14], facts=FACTS)
-    said = notify(capsys, lab)
-    assert len(lab.posts) == 1 and "known: " not in said, said
+    printed = notify(capsys, lab)
+    assert len(lab.posts) == 1 and "known: " not in printed, printed
 
 
 def test_a_build_that_is_worse_than_its_history(capsys, lab, tmp_path):
@@ -171,8 +171,8 @@ def test_a_build_that_is_worse_than_its_history(capsys, lab, tmp_path):
     assert main(["gate", str(build), "--against", str(lab.archive)]) == 1
     assert "changed since its last boot: commit: c0 -> not known" in capsys.readouterr().out
     annotate(lab, "--known", "--machine", "board")
-    said = notify(capsys, lab, "--results", write_build(tmp_path / "next", 140.0, 140.0, seed=98))
-    assert len(lab.posts) == 1 and "known: " in said
+    printed = notify(capsys, lab, "--results", write_build(tmp_path / "next", 140.0, 140.0, seed=98))
+    assert len(lab.posts) == 1 and "known: " in printed
 
 
 def test_a_quarantine_is_told_once_and_the_next_one_again(capsys, lab, monkeypatch):
@@ -233,7 +233,7 @@ def test_names_that_are_hostile_are_text_and_nothing_else(lab, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("receiver", "said"),
+    ("receiver", "message"),
     [
         ({"kind": "hook", "url": "file:///etc/passwd"}, "begins with https:// or http://"),
         ({"kind": "mail", "server": "localhost", "from": "a@b", "to": ["a@b"]}, "HOST:PORT"),
@@ -243,10 +243,10 @@ def test_names_that_are_hostile_are_text_and_nothing_else(lab, tmp_path):
         ({"kind": "pager"}, "kind"),
     ],
 )
-def test_receivers_that_are_none(capsys, tmp_path, receiver, said):
+def test_receivers_that_are_none(capsys, tmp_path, receiver, message):
     (tmp_path / "lab.yml").write_text(yaml.safe_dump({"schema": 1, "receivers": [{"name": "x", **receiver}]}))
     assert main(["notify", str(tmp_path / "lab.yml"), "archive"]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_file_that_is_no_message_is_named(capsys, lab):

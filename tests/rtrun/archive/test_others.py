@@ -16,17 +16,17 @@ SLOWER = 3  # the board on which the last kernel is slower
 def histogram_text(rng, mean_us, n=20_000):
     """What `cyclictest -l20000 -m -Sp99 -i200 -h400 -q` prints."""
     values = (mean_us + rng.gamma(2.0, 1.5, (CPUS, n))).astype(int)
-    counts = np.array([np.bincount(np.minimum(each, LAST_US), minlength=LAST_US + 1) for each in values])
+    counts = np.array([np.bincount(np.minimum(row, LAST_US), minlength=LAST_US + 1) for row in values])
     lines = ["# /dev/cpu_dma_latency set to 0us", "# Histogram"]
     lines += [f"{us:06d} " + "\t".join(f"{count:06d}" for count in counts[:, us]) for us in range(LAST_US)]
-    for name, each in (
+    for name, numbers in (
         ("Total", counts[:, :LAST_US].sum(axis=1)),
         ("Min Latencies", values.min(axis=1)),
         ("Avg Latencies", values.mean(axis=1).astype(int)),
         ("Max Latencies", values.max(axis=1)),
         ("Histogram Overflows", counts[:, LAST_US]),
     ):
-        lines.append(f"# {name}: " + " ".join(f"{number:09d}" for number in each))
+        lines.append(f"# {name}: " + " ".join(f"{number:09d}" for number in numbers))
     lines += [
         "# Histogram Overflow at cycle number:",
         *(f"# Thread {cpu}:{' 1' * over}" for cpu, over in enumerate(counts[:, LAST_US])),
@@ -49,17 +49,17 @@ def test_years_of_others(capsys, tmp_path, number):
     results, archive = str(tmp_path / "results"), str(tmp_path / "archive")
     names = ["--names", "{board}/{kernel}/{start}.txt", "--platform", "hardware", "--results", results]
     assert main(["import", *map(str, sorted((tmp_path / "lab").rglob("*.txt"))), *names]) == 0
-    said = capsys.readouterr().out
-    assert f"not known of {number} runs: " in said and len(said.splitlines()) == number + 4
+    printed = capsys.readouterr().out
+    assert f"not known of {number} runs: " in printed and len(printed.splitlines()) == number + 4
     assert main(["archive", "add", results, "--to", archive]) == 0
     assert main(["archive", "compact", archive]) == 0
     capsys.readouterr()
     assert main(["history", archive, "--by", "kernel", "--deadline", "100us", "--json"]) == 0
     points = json.loads(capsys.readouterr().out)["points"]
-    told = {(point["machine"], point["kernel"]) for point in points}
+    pairs = {(point["machine"], point["kernel"]) for point in points}
     assert sum(len(point["run_keys"]) for point in points) == number
     assert sum(point["n"] for point in points) == number * CPUS * 20_000
-    assert len(told) == BOARDS * len(KERNELS)
+    assert len(pairs) == BOARDS * len(KERNELS)
     assert main(["trends", archive, "--deadline", "100us", "--json"]) == 0
     changes = json.loads(capsys.readouterr().out)["changes"]
     assert {change["machine"] for change in changes} == {f"rack1-slot{SLOWER}"}

@@ -52,10 +52,10 @@ def test_figures_are_those_of_the_report(capsys, campaign, tmp_path):
         assert (point["n"], point["misses"] - point["unclear"]) == (group.verdict.n, surely)
         if len(group.digests) > 1:
             continue  # a report pools subscribers to the width of a bin
-        (one,) = group.digests
-        assert point["max_ns"] == one.figures.max_ns // STEP_NS * STEP_NS
+        (digest,) = group.digests
+        assert point["max_ns"] == digest.figures.max_ns // STEP_NS * STEP_NS
         for p in PERCENTILES:
-            assert point["percentiles_ns"][f"p{p:g}"] == one.figures.percentiles_ns[p] // STEP_NS * STEP_NS
+            assert point["percentiles_ns"][f"p{p:g}"] == digest.figures.percentiles_ns[p] // STEP_NS * STEP_NS
             compared += 1
     assert compared >= 80
 
@@ -68,7 +68,7 @@ def test_subscribers_are_pooled(capsys, campaign, tmp_path):
         if point["scenario"] in groups:
             group = groups[point["scenario"]]
             assert point["n"] == group.n
-            assert point["max_ns"] == max(one.figures.max_ns for one in group.digests) // STEP_NS * STEP_NS
+            assert point["max_ns"] == max(digest.figures.max_ns for digest in group.digests) // STEP_NS * STEP_NS
 
 
 def test_the_course_by_time_kernel_board_and_commit(capsys, tmp_path):
@@ -79,17 +79,19 @@ def test_the_course_by_time_kernel_board_and_commit(capsys, tmp_path):
         results.mkdir()
         (tmp_path / "all" / f"{day:03d}-oneshot").rename(results / f"{day:03d}-oneshot")
         archived(capsys, results, archive, "--commit", f"c{day // 2}")
-    told = {
+    labels = {
         by: [(point["label"], point["machine"], point["kernel"]) for point in history(capsys, archive, "--by", by)]
         for by in ("day", "kernel", "board", "commit", "month")
     }
     runs = [("board-0", "6.0"), ("board-0", "6.1"), ("board-1", "6.0"), ("board-1", "6.1")]
     days = ["2026-10-01", "2026-11-01", "2026-10-02", "2026-11-02"]
-    assert told["day"] == [(day, *run) for day, run in zip(days, runs, strict=True)]
-    assert told["month"] == [(day[:7], *run) for day, run in zip(days, runs, strict=True)]
-    assert told["commit"] == [(f"c{k % 2}", *run) for k, run in enumerate(runs)]
-    assert told["board"] == [(machine, machine, kernel) for machine, kernel in runs]
-    assert told["kernel"] == [(kernel, machine, kernel) for machine, kernel in sorted(runs, key=lambda run: run[::-1])]
+    assert labels["day"] == [(day, *run) for day, run in zip(days, runs, strict=True)]
+    assert labels["month"] == [(day[:7], *run) for day, run in zip(days, runs, strict=True)]
+    assert labels["commit"] == [(f"c{k % 2}", *run) for k, run in enumerate(runs)]
+    assert labels["board"] == [(machine, machine, kernel) for machine, kernel in runs]
+    assert labels["kernel"] == [
+        (kernel, machine, kernel) for machine, kernel in sorted(runs, key=lambda run: run[::-1])
+    ]
     assert {(point["n"], point["misses"], point["boots"]) for point in history(capsys, archive)} == {(500, 1, 1)}
 
 
@@ -105,12 +107,12 @@ def test_runs_of_a_point_are_pooled_by_their_counts(capsys, tmp_path):
 def test_an_outlier_far_away_is_added_up_as_all_others_are(capsys, tmp_path, monkeypatch):
     """Of few histograms, and beyond a number of places, bins are sorted instead."""
     archive = archived(capsys, write_days(tmp_path / "results", 6), tmp_path / "archive")
-    said = []
+    answers = []
     for most, lowest in ((10**6, 1), (4, 1), (0, 1), (4, 99)):
         monkeypatch.setattr(bins, "_GRID_MAX", most)
         monkeypatch.setattr(bins, "_GRID_FROM", lowest)
-        said.append(history(capsys, archive, "--by", "month"))
-    assert said[0] and all(each == said[0] for each in said)
+        answers.append(history(capsys, archive, "--by", "month"))
+    assert answers[0] and all(answer == answers[0] for answer in answers)
 
 
 def test_groups_are_read_and_computed_in_several_threads_where_they_are_large(capsys, tmp_path, monkeypatch):

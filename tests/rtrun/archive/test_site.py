@@ -45,9 +45,11 @@ def boards(tmp_path_factory):
         levels = [100.0] * 16
         if (machine, middleware, policy) == ("panda-2", "rclcpp", "FIFO"):
             levels[8:] = [125.0] * 8
-        of = {"middleware": middleware, "policy": policy}
+        parameters = {"middleware": middleware, "policy": policy}
         with mock.patch("os.fsync"):
-            write_course(folder / "archive", levels, facts=kernels, machine=machine, seed=100 + seed, parameters=of)
+            write_course(
+                folder / "archive", levels, facts=kernels, machine=machine, seed=100 + seed, parameters=parameters
+            )
     assert main(["site", str(folder / "archive"), "--output", str(folder / "pages")]) == 0
     return folder / "pages"
 

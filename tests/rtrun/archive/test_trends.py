@@ -45,9 +45,9 @@ def test_a_steady_course_has_no_change(capsys, steady):
 
 
 def test_a_change_is_told_with_when_how_much_and_what_changed_there(capsys, slower):
-    told = {change["figure"]: change for change in changes(capsys, slower)}
-    assert told.keys() == {"p50", "p99"}  # 4000 values a run are too few for p99.9
-    for change in told.values():
+    by_figure = {change["figure"]: change for change in changes(capsys, slower)}
+    assert by_figure.keys() == {"p50", "p99"}  # 4000 values a run are too few for p99.9
+    for change in by_figure.values():
         assert change["worse"]
         assert change["index_boot"] == CHANGED
         assert change["last_before"] == "2026-01-18T10:00:00Z"
@@ -62,20 +62,20 @@ def test_a_change_is_told_with_when_how_much_and_what_changed_there(capsys, slow
 
 
 @pytest.mark.parametrize(
-    ("kernels", "told"),
+    ("kernels", "expected"),
     [
         (("6.6.30", "6.1.0", "6.6.30", "6.1.0"), set()),  # in turn all the time: no circumstance of a change
         (("6.6.30", "6.1.0", "6.1.0", "6.1.0"), {"kernel: 6.1.0 and 6.6.30 in turn -> 6.1.0"}),
         (("6.1.0", "6.1.0", "6.6.30", "6.6.30"), {"kernel: 6.1.0 -> 6.6.30"}),
     ],
 )
-def test_kernels_that_are_measured_in_turn_are_no_change(capsys, tmp_path, kernels, told):
+def test_kernels_that_are_measured_in_turn_are_no_change(capsys, tmp_path, kernels, expected):
     """What an even and an odd day had before the change and after it."""
     facts = [{"kernel": kernels[2 * (day >= CHANGED) + day % 2], "commit": f"c{day}"} for day in range(DAYS)]
     levels = [100.0] * CHANGED + [110.0] * (DAYS - CHANGED)
     for change in changes(capsys, write_course(tmp_path / "archive", levels, facts=facts)):
         circumstances = change["circumstances"]
-        assert {text for text in circumstances if text.startswith("kernel")} == told
+        assert {text for text in circumstances if text.startswith("kernel")} == expected
         assert any(text.startswith("commit: c1") for text in circumstances)
 
 

@@ -111,7 +111,7 @@ def test_messages_are_read_as_they_were_told(alarms, clocks):
         add_told(store, f"receiver {number}", alarms, clock)
     messages = read_told(store)
     assert [message.receiver for message in messages] == [f"receiver {number}" for number in range(len(clocks))]
-    assert all([one.key for one in message.alarms] == [one.key for one in alarms] for message in messages)
+    assert all([alarm.key for alarm in message.alarms] == [alarm.key for alarm in alarms] for message in messages)
 
 
 def test_the_largest_message_is_read_again():
@@ -173,10 +173,10 @@ WORDS = strategies.one_of(
         strategies.sampled_from(["forever", "12w", "10950d"]) | strategies.integers(1, 3650).map("{}d".format),
     ),
     *[
-        strategies.lists(strategies.tuples(strategies.sampled_from(of), PATTERNS), max_size=3).map(
+        strategies.lists(strategies.tuples(strategies.sampled_from(options), PATTERNS), max_size=3).map(
             lambda pairs, kind=kind: ("annotate", kind, *(word for pair in pairs for word in pair))
         )
-        for kind, of in (
+        for kind, options in (
             ("--ignore", [option for option, _ in OPTIONS.values()]),
             ("--known", ["--machine", "--scenario"]),
             ("--accept=", ["--machine", "--scenario"]),
@@ -211,10 +211,10 @@ def test_what_a_command_writes_all_commands_read(lab, tmp_path, capsys, written,
     for name, calls in READ.items():
         for words in calls:
             status = main([name, *(places.get(word, word) for word in words)])
-            said = capsys.readouterr().err
+            err = capsys.readouterr().err
             # Notes may ignore every run, or retain none; that is an answer, no damage.
-            assert status in (0, 1) or re.search("no run|NO HISTORY|none of its 16 lines", said), (name, words, said)
-            assert "notes/" not in said and "told/" not in said
+            assert status in (0, 1) or re.search("no run|NO HISTORY|none of its 16 lines", err), (name, words, err)
+            assert "notes/" not in err and "told/" not in err
 
 
 def test_retain_forever_as_documented_is_read(lab, tmp_path, capsys):
@@ -248,8 +248,8 @@ def test_of_notes_that_nobody_can_order_the_longer_time_holds():
     at = datetime(2026, 11, 24)
     for days in ((30, None), (None, 30), (30, 90)):
         held = {
-            f"20261124T000000Z-{number}{number}": RetainNote(at=at, who="x", reason="x", table="runs", days=each)
-            for number, each in enumerate(days)
+            f"20261124T000000Z-{number}{number}": RetainNote(at=at, who="x", reason="x", table="runs", days=limit)
+            for number, limit in enumerate(days)
         }
         since = notes.Notes(held=held).kept_since("runs", datetime(2027, 1, 1))
         assert since == (None if None in days else datetime(2027, 1, 1) - timedelta(days=90))
@@ -345,9 +345,9 @@ def test_no_stamp_is_after_the_last_one():
 
 def test_more_notes_than_are_read_are_not_written(lab, tmp_path, capsys, monkeypatch):
     subprocess.run(["cp", "-rl", lab / "ARCHIVE", tmp_path / "a"], check=True)
-    for module, of in ((notes, notes._KIND), (notifications, notifications._KIND)):
-        monkeypatch.setattr(module, "_KIND", type(of)(
-            folder=of.folder, reader=of.reader, entries_max=2, bytes_max=of.bytes_max))  # fmt: skip
+    for module, kind in ((notes, notes._KIND), (notifications, notifications._KIND)):
+        monkeypatch.setattr(module, "_KIND", type(kind)(
+            folder=kind.folder, reader=kind.reader, entries_max=2, bytes_max=kind.bytes_max))  # fmt: skip
     retain = ["archive", "retain", str(tmp_path / "a"), "samples", "90d", *WHO]
     assert [main(retain) for _ in range(3)] == [0, 0, 2]
     assert "notes: 2 files are there, and at most 2 are read: remove the oldest" in capsys.readouterr().err
@@ -361,7 +361,7 @@ def test_more_notes_than_are_read_are_not_written(lab, tmp_path, capsys, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--known", "--machine="), "an empty pattern fits nothing"),
         (("--known", "--machine", "x" * 1001), "machine"),
@@ -371,10 +371,10 @@ def test_more_notes_than_are_read_are_not_written(lab, tmp_path, capsys, monkeyp
         (("--known", "--machine", "b", "--who", "x" * 1001), "who: "),
     ],
 )
-def test_what_could_not_be_read_is_refused_before_it_is_written(lab, tmp_path, capsys, words, said):
+def test_what_could_not_be_read_is_refused_before_it_is_written(lab, tmp_path, capsys, words, message):
     subprocess.run(["cp", "-rl", lab / "ARCHIVE", tmp_path / "a"], check=True)
     assert main(["archive", "annotate", str(tmp_path / "a"), "--reason", "x", *words]) == 2
-    assert said in capsys.readouterr().err and not (tmp_path / "a/notes").exists()
+    assert message in capsys.readouterr().err and not (tmp_path / "a/notes").exists()
 
 
 def test_who_has_no_name_is_asked_for_one(lab, tmp_path, capsys):
