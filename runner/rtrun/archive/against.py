@@ -31,7 +31,7 @@ def gate_against(
     archive: Store,
     *,
     deadline_ns: int | None,
-    of: Measure | None = None,
+    measure: Measure | None = None,
     margin_ns: float | None,
     false_alarms: float,
     platform: Platform,
@@ -49,9 +49,11 @@ def gate_against(
         without_course: list[tuple[str, str]] = []
         if added.added:
             build_archive = read_archive(own)
-            builds = courses(build_archive, deadline_ns=deadline_ns, of=of)
-            without_course = _without_course(build_archive.runs, builds, of)
-    histories = {course.identity: course for course in courses(read_archive(archive), deadline_ns=deadline_ns, of=of)}
+            builds = courses(build_archive, deadline_ns=deadline_ns, measure=measure)
+            without_course = _without_course(build_archive.runs, builds, measure)
+    histories = {
+        course.identity: course for course in courses(read_archive(archive), deadline_ns=deadline_ns, measure=measure)
+    }
     reasons = [text.split(": ", 1) for text in (*added.refused, *added.notes)]
     cases = [
         Case(about=name, answer="NOT ANALYSED", text=reason, passed=False)

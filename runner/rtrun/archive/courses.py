@@ -117,9 +117,9 @@ class Course:
         return [(sum(run.point.n for run in boot), sum(run.point.misses or 0 for run in boot)) for boot in self.boots()]
 
 
-def courses(archive: Archive, *, deadline_ns: int | None, of: Measure | None = None) -> list[Course]:
+def courses(archive: Archive, *, deadline_ns: int | None, measure: Measure | None = None) -> list[Course]:
     """Every course of an archive. Runs without a time are left out, as they have no place in a course."""
-    points = {point.run_keys[0]: point for point in figures(archive, "run", deadline_ns=deadline_ns, of=of)}
+    points = {point.run_keys[0]: point for point in figures(archive, "run", deadline_ns=deadline_ns, measure=measure)}
     runs = [
         _run(points[row.run_key], row, archive.store.address)
         for row in archive.runs

@@ -107,10 +107,10 @@ class _Group:
         return self.row.start_utc or _LATEST
 
 
-def figures(archive: Archive, by: By, *, deadline_ns: int | None, of: Measure | None = None) -> list[Point]:
+def figures(archive: Archive, by: By, *, deadline_ns: int | None, measure: Measure | None = None) -> list[Point]:
     """The figures of every point, scenario by scenario; runs that are not ok are left out.
 
-    `of` are the values that have the deadline; None: the first measure of each suite, where a run has it. Runs with
+    `measure` says which values have the deadline; None: the first measure of each suite, where a run has it. Runs with
     other known values are in other points, or in none. Raises UsageError, InfrastructureError.
     """
     groups = _groups(archive.runs, by)
@@ -120,7 +120,7 @@ def figures(archive: Archive, by: By, *, deadline_ns: int | None, of: Measure | 
     with ThreadPoolExecutor(number) as threads:
         # Handing such small work to a single thread takes as long as computing it.
         apply = threads.map if number > 1 else map
-        of_groups = apply(lambda group: list(_points(archive, reader, group, deadline_ns, of)), groups)
+        of_groups = apply(lambda group: list(_points(archive, reader, group, deadline_ns, measure)), groups)
         points = [point for of_group in of_groups for point in of_group]
     return sorted(points, key=lambda point: (point.scenario, point.parameters, point.platform))
 

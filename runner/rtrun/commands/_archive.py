@@ -44,7 +44,7 @@ def read_courses(args: argparse.Namespace) -> "list[Course]":
     archive = read_whole(args)
     from rtrun.archive.courses import courses
 
-    return courses(archive, deadline_ns=args.deadline, of=args.of)
+    return courses(archive, deadline_ns=args.deadline, measure=args.measure)
 
 
 def read_whole(args: argparse.Namespace) -> "Archive":

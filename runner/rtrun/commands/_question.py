@@ -64,7 +64,10 @@ def add_question(parser: argparse.ArgumentParser) -> None:
 def add_of(parser: argparse.ArgumentParser, default: str) -> None:
     """Which values of the cyclic timer the deadline applies to."""
     parser.add_argument(
-        "--of", choices=get_args(Of), help=f"what the deadline of the cyclic timer is of; all else is late [{default}]"
+        "--of",
+        dest="measure",
+        choices=get_args(Of),
+        help=f"what the deadline of the cyclic timer is of; all else is late [{default}]",
     )
 
 
@@ -87,7 +90,7 @@ def question(args: argparse.Namespace, results: Path) -> Question:
     goal = read_goal(results)
     before = goal.question if goal else NO_DEADLINE
     given = {
-        "of": args.of,
+        "of": args.measure,
         "tolerance": args.tolerate,
         "deadline_ns": args.deadline,
         "probability": args.probability,

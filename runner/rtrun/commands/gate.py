@@ -145,7 +145,7 @@ def _against(args: argparse.Namespace) -> "Gate":
         args.results,
         archive,
         deadline_ns=asked.deadline_ns,
-        of=asked.of,
+        measure=asked.of,
         margin_ns=args.margin,
         false_alarms=args.false_alarms or FALSE_ALARMS,
         platform=Platform(args.platform),

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.archive.history import as_data, print_course
     from rtrun.archive.queries import figures
 
-    points = figures(archive, args.by, deadline_ns=args.deadline, of=args.of)
+    points = figures(archive, args.by, deadline_ns=args.deadline, measure=args.measure)
     if args.json:
         print_json(as_data(points, by=args.by, deadline_ns=args.deadline))
         return 0

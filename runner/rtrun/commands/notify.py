@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     if len({*names}) < len(names):
         raise UsageError(f"{args.receivers}: receivers: two of one name: what each was told is kept by its name")
     archive = read_whole(args)
-    alarms = _worse(args, archive, courses(archive, deadline_ns=args.deadline, of=args.of))
+    alarms = _worse(args, archive, courses(archive, deadline_ns=args.deadline, measure=args.measure))
     failures = []
     if not args.results:
         try:
@@ -117,7 +117,7 @@ def _worse(args: argparse.Namespace, archive: "Archive", known: "list[Course]") 
         args.results,
         archive.store,
         deadline_ns=args.deadline or asked.deadline_ns,
-        of=args.of or asked.of,
+        measure=args.measure or asked.of,
         margin_ns=None,
         false_alarms=FALSE_ALARMS,
         platform=Platform.VIRTUAL,

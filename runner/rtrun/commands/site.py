@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     from rtrun.archive.site import write_site
     from rtrun.archive.trends import trends
 
-    known = courses(archive, deadline_ns=args.deadline, of=args.of)
+    known = courses(archive, deadline_ns=args.deadline, measure=args.measure)
     farm, missing, failure = None, _NOT_ASKED, None
     if coordinator := args.coordinator or os.environ.get("LG_COORDINATOR"):
         try:

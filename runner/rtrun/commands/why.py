@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         refuse_trace_cmd(args.results)
         raise UsageError(f"{args.results}: not a results folder or a run directory")
     ranking, explained, refused = causes.ranked(source)
-    measure = args.of
+    measure = args.measure
     if measure is None and (goal := read_goal(args.results)):
         measure = goal.of or LATENESS
     periods, not_searched = causes.periods(source, measure)
