@@ -14,8 +14,8 @@ TEXTS = {
     "BETTER": "got better",
     "KNOWN": "got worse, which is known",
     "ACCEPTED": "got worse, which was accepted",
-    "STEADY": "stayed as they were",
-    "NEW": f"are too new to judge: {HISTORY}",
+    "STEADY": "stayed the same",
+    "NEW": f"cannot be judged yet: {HISTORY}",
 }
 """The words for states, gravest first, and their meaning in a sentence."""
 

@@ -29,7 +29,7 @@ EVIL = "<script>missing()</script>"
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    facts = [{"commit": EVIL if day else "c0", "kernel": "6.1" if day < 8 else "6.6"} for day in range(16)]
+    facts = [{"commit": EVIL if day else "c0" * 20, "kernel": "6.1" if day < 8 else "6.6"} for day in range(16)]
     archive = write_course(folder / "archive", [100.0] * 8 + [120.0] * 8, facts=facts)
     assert main(["site", str(archive), "--output", str(folder / "pages"), "--deadline", "400us"]) == 0
     return folder / "pages"
@@ -57,7 +57,7 @@ def boards(tmp_path_factory):
 def test_the_front_page_has_the_state_of_every_scenario(site):
     page = (site / "index.html").read_text()
     assert "Of 1 scenario 1 got worse." in page
-    assert "✗ WORSE: p50, p99" in page
+    assert "✗&nbsp;WORSE: p50, p99" in page
     (link,) = re.findall(r'<a href="([0-9a-f]{16}\.html)">oneshot_timer RR 1000 us on board</a>', page)
     assert (site / link).is_file()
 
@@ -97,7 +97,7 @@ def test_boards_that_are_too_new_are_not_called_good(tmp_path, capsys):
         return ((tmp_path / "pages" / name).read_text() for name in ("index.html", "boards.html"))
 
     front, boards = pages()
-    assert f"Of 2 scenarios 2 are too new to judge: {HISTORY}." in front and "Nothing got worse" not in boards
+    assert f"Of 2 scenarios 2 cannot be judged yet: {HISTORY}." in front and "Nothing got worse" not in boards
     assert '<p class="answer">2 of 2 boards too new to judge</p>' in boards
     assert f"? NEW: {LEAST_BOOTS} boots of {LEAST_BOOTS + 1}" in boards
     write_course(tmp_path / "archive", [100.0] * (LEAST_BOOTS + 1), machine="young-0", seed=0)
@@ -143,22 +143,59 @@ addEventListener("load", async () => {
 </script>"""
 
 
+def probed(folder, profile):
+    """What the page `probe.html` of this folder found."""
+    dom, console = browse(
+        profile, "--allow-file-access-from-files", "--window-size=1500,1000", "--virtual-time-budget=60000",
+        "--dump-dom", f"file://{folder}/probe.html",
+    )  # fmt: skip
+    assert console == []
+    return json.loads(html.unescape(re.search(r'<pre id="found">(.*?)</pre>', dom)[1]))
+
+
 def test_the_page_of_boards_holds_at_every_width(boards, tmp_path):
     (boards / "probe.html").write_text(PROBE)
-    dom, console = browse(
-        tmp_path, "--allow-file-access-from-files", "--window-size=1500,1000", "--virtual-time-budget=60000",
-        "--dump-dom", f"file://{boards}/probe.html",
-    )  # fmt: skip
-    found = json.loads(html.unescape(re.search(r'<pre id="found">(.*?)</pre>', dom)[1]))
-    assert console == []
-    for width, page in found.items():
+    for width, page in probed(boards, tmp_path).items():
         assert page["scroll"] <= int(width) and (page["cut"], page["over"]) == (0, 0), (width, page)
         assert (page["cells"], page["lines"]) == (12, 12), (width, page)
         assert page["named"] == ("none" if width == "1400" else '"rclcpp"')
 
 
+PHONE = """<!DOCTYPE html><link rel="icon" href="data:,"><body><script>
+addEventListener("load", async () => {
+  const found = {};
+  for (const name of NAMES) {
+    const frame = document.createElement("iframe");
+    frame.style.cssText = "width:390px;height:900px;border:0";
+    frame.src = name;
+    document.body.append(frame);
+    await new Promise((done) => { frame.onload = done; });
+    const page = frame.contentDocument;
+    found[name] = [...page.querySelectorAll("html, body *")].filter((e) => e.clientWidth &&
+      e.scrollWidth > e.clientWidth + 1 && !e.closest("svg") &&
+      (e === page.documentElement || getComputedStyle(e).overflowX !== "visible"))
+      .map((e) => `${e.tagName}.${e.className} ${e.scrollWidth}`);
+    frame.remove();
+  }
+  const text = document.createElement("pre");
+  text.id = "found";
+  text.textContent = JSON.stringify(found);
+  document.body.replaceChildren(text);
+});
+</script>"""
+
+
+@pytest.mark.parametrize("pages", ["site", "boards"])
+def test_no_page_scrolls_sideways_on_a_phone(pages, tmp_path, request):
+    folder = request.getfixturevalue(pages)
+    names = sorted(path.name for path in folder.glob("*.html") if path.name != "probe.html")
+    (folder / "probe.html").write_text(PHONE.replace("NAMES", json.dumps(names)))
+    found = probed(folder, tmp_path)
+    assert [*found] == names and len(names) >= 3 and not any(found.values()), found
+
+
 def test_the_page_of_a_scenario_has_its_course(site):
-    (path,) = [path for path in site.glob("*.html") if path.name not in ("index.html", "boards.html")]
+    (path,) = [path for path in site.glob("*.html") if re.fullmatch(r"[0-9a-f]{16}\.html", path.name)]
     page = path.read_text()
     plots = [json.loads(text) for text in re.findall(r'<script type="application/json">(.*?)</script>', page)]
     *lines, deadline, change, _ = plots[0]["marks"]
@@ -211,7 +248,7 @@ def test_values_that_are_all_the_same(tmp_path, capsys, value_ns, days):
     """A timer that fires 5 ns early each time is one that a clock of large steps shows."""
     archive = write_course(tmp_path / "archive", [100.0] * days, constant_ns=value_ns)
     assert main(["site", str(archive), "--output", str(tmp_path / "pages")]) == 0, capsys.readouterr().err
-    (page,) = [path for path in (tmp_path / "pages").glob("*.html") if path.name not in ("index.html", "boards.html")]
+    (page,) = [path for path in (tmp_path / "pages").glob("*.html") if re.fullmatch(r"[0-9a-f]{16}\.html", path.name)]
     assert "NaN" not in page.read_text() and '"values"' in page.read_text()
 
 
