@@ -10,7 +10,7 @@ _SPREAD_PERCENT = 99.9
 
 
 def spread(group: Group) -> str:
-    """The lowest and the highest figure among the boards, each with its board."""
+    """The lowest and the highest value of each figure among the boards, each with its board."""
     parts = []
     misses = {board.boards[0]: board.verdict.p_miss for board in group.members if board.verdict}
     if any(misses.values()):
