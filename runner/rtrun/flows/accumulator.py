@@ -1,4 +1,4 @@
-"""From the hits of probes to messages, timers, callbacks and paths, while the hits come in."""
+"""Turns the hits of probes into messages, timers, callbacks and paths while the hits come in."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from operator import itemgetter
@@ -25,14 +25,14 @@ _SET_LEAST_NS = 1000
 class FlowAccumulator:
     """Reads messages, timers, callbacks and paths from hits, about once a second for hours.
 
-    `observe` takes the programs that run, before their hits are fed; `offset` takes the offsets of other clocks; `feed`
-    takes the hits. Hits of a feed are later than those of the feeds before it, and a gap comes no later than the hits
-    after it. `begin_ns` is when the probes were placed.
+    `observe` takes the running programs, before their hits are fed; `offset` takes the offsets of other clocks; `feed`
+    takes the hits. Hits of a feed are later than those of earlier feeds, and a gap is fed no later than the hits after
+    it. `begin_ns` is when the probes were placed.
 
     A publication that nobody took within `horizon_ns` is forgotten; a later reception of it is unmatched. `paths` are
-    topics in the order of their messages. What is finished goes to the `store`, 48 bytes a message, 16 a call.
-    `on_turn` is called with each turn of a thread, once its end is known, or once it is clear that it was not seen.
-    `loops` has its own `feed`, of the kernel's events; it reads those that its parameter names.
+    topics in the order of their messages. Finished rows go to the `store`, 48 bytes a message, 16 a call. `on_turn` is
+    called with each turn of a thread, once its end is known, or once it is certain that the end was not seen. `loops`
+    has its own `feed`, of the kernel's events; it reads those that its parameter names.
     """
 
     def __init__(
@@ -71,7 +71,8 @@ class FlowAccumulator:
         """Take all programs that run now: others have ended, and a pid may belong to a new program."""
         running = tuple(programs)
         self._programs.observe(running)
-        # Of programs with the same name, the one that began first gets the first number, whichever has a hit first.
+        # Among programs with the same name, the one that began first gets the first number, even if another has the
+        # first hit.
         begun = [
             (process.program.start_ticks, pid, process)
             for pid, process in self._programs.processes.items()
@@ -82,7 +83,7 @@ class FlowAccumulator:
         self.loops.observe(running)
 
     def offset(self, clock: str, at_ns: int, offset_ns: int) -> None:
-        """Another clock was `offset_ns` ahead of the hits' clock when that showed `at_ns`."""
+        """Another clock was `offset_ns` ahead of the hits' clock when the hits' clock showed `at_ns`."""
         before_ns = self.state.offsets_ns.get(clock, offset_ns)
         if clock == SYSTEM and abs(offset_ns - before_ns) > _SET_LEAST_NS:
             self.topics.clock_was_set()
@@ -129,7 +130,7 @@ class FlowAccumulator:
         self._programs.feed += 1
 
     def finish(self, until_ns: int = 0) -> None:
-        """End the feeds; there were no more hits until `until_ns`. Decide what waited for later hits."""
+        """End the feeds: there were no more hits until `until_ns`. Decide everything that waited for later hits."""
         self.until_ns = max(self.newest_ns, until_ns)
         self.topics.cut()
         self.loops.finish()

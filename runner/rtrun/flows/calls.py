@@ -1,4 +1,4 @@
-"""Timers and callbacks: what the hits of their calls show."""
+"""Timers and callbacks, from the hits of their calls."""
 
 from collections.abc import Callable
 
@@ -132,7 +132,8 @@ class CallRecord:
             timer.early.append((begin_ns, expected_ns, self._state.epoch))
 
     def _shows_callbacks(self, process: LivingProcess) -> None:
-        """A process is of rclcpp. If that was not known, the calls of its timers were taken for begins: forget them."""
+        """Note that a process is of rclcpp. If that was not known, calls of its timers were taken for begins: forget
+        these."""
         if process.shows_callbacks:
             return
         process.has_shown_callbacks = True
@@ -209,7 +210,8 @@ class CallRecord:
         thread.callbacks.append(OpenCallback(callback, hit.at_ns, message, is_direct))
 
     def _is_handled(self, cause: Cause | None, callback: LivingCallback, begin: Hit) -> bool:
-        """Whether a callback that begins handles what its thread took or called directly before."""
+        """Whether a callback that begins handles the message or timer that its thread took or called directly
+        before."""
         # roscpp tells the topic: another thread took the message.
         if "topic" in begin.values:
             return False
@@ -278,7 +280,7 @@ class CallRecord:
 
 
 def _named(label: str, owner: LivingThing | None) -> tuple[str, str]:
-    """The label of a callback's node (of its process, if its owner is not known), and its topic or timer."""
+    """The label of a callback's node (if its owner is not known, of its process), and its topic or timer."""
     if isinstance(owner, LivingTimer) and owner.log is not None:
         return owner.log.label, numbered(owner.log.name, owner.log.number)
     if isinstance(owner, Endpoint):

@@ -1,4 +1,4 @@
-"""What became of the messages of a pair, in numbers that add up, and the columns of the received ones."""
+"""The outcome of a pair's messages, in numbers that add up, and the columns of the received ones."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ _ONES = np.unpackbits(np.arange(256, dtype=np.uint8)[:, np.newaxis], axis=1).sum
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairCounts:
-    """What became of the messages of a publisher at a subscriber.
+    """How many messages of a publisher came to a subscriber, and what became of the others.
 
     published = received + lost + ambiguous + undecided. A lost message lies between the first and the last received
     one, was never received, and was overtaken longer ago than any message took to come. Undecided messages lie before
-    the first and after the last, and so before and after gaps and restarts: they may be on their way, or nobody was
-    there. Ambiguous messages are counted by their publications, not by their receptions.
+    the first and after the last received one, also around gaps and restarts: they may be on their way, or nobody may
+    have been there. Ambiguous messages are counted by their publications, not by their receptions.
     """
 
     published: int
@@ -34,7 +34,7 @@ class PairCounts:
 
 
 class DecidedMessages:
-    """Which messages of a pair are known to be received or lost, a bit for each published message."""
+    """Which messages of a pair are known to be received or lost: a bit for each published message."""
 
     def __init__(self, pair: MessagePair) -> None:
         self._pair = pair
@@ -93,7 +93,7 @@ class DecidedMessages:
 
 
 def _overtaken(pair: MessagePair) -> Iterator[tuple[int, int]]:
-    """The index range (first, end) of the messages of each link that are received or lost."""
+    """For each link, the index range (first, end) of the messages that are received or lost."""
     link, longest_ns = pair.link, pair.longest_ns
     for piece in pair.links.pieces():
         yield from _of_links(piece, pair.publisher.times, longest_ns)

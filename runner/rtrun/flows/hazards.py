@@ -1,4 +1,4 @@
-"""What threatens the deadlines of running programs: how their threads are scheduled, and their memory."""
+"""What threatens the deadlines of running programs: the scheduling of their threads, and their memory."""
 
 from collections.abc import Iterator, Sequence
 
@@ -39,7 +39,7 @@ def _of(program: ObservedProgram, programs: Sequence[ObservedProgram]) -> Iterat
 
 
 def _may_delay(other: ProgramThread, thread: ProgramThread) -> bool:
-    """Whether another thread comes before a real-time one on a CPU that both may use."""
+    """Whether another thread may run before a real-time thread on a CPU that both may use."""
     if not thread.is_real_time or thread.policy == "DEADLINE" or not set(other.cpus) & set(thread.cpus):
         return False
     return other.policy == "DEADLINE" or (other.is_real_time and other.priority > thread.priority)

@@ -1,4 +1,4 @@
-"""The figures of every stream as they are now, updated with what came since the last time."""
+"""The current figures of every stream, updated with the values since the last snapshot."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,8 +23,8 @@ _BINS_OF_OCTAVE = 64
 class LiveRow:
     """Figures of one stream since the begin; None if there is no value. `name` and `of` are printable.
 
-    Median and p99 are at most 1.6 % too high, the others are exact. `rate_hz` is since the last snapshot. `lost` are
-    messages, and may still fall when one comes late; or the skipped periods of a timer, which are misses, too.
+    Median and p99 are at most 1.6 % too high, the others are exact. `rate_hz` is that since the last snapshot. `lost`
+    counts messages, and may still fall when one comes late; or the skipped periods of a timer, which are misses, too.
     """
 
     kind: StreamKind
@@ -51,7 +51,7 @@ class Snapshot:
 
 
 class BinnedValues:
-    """Figures of values that come in pieces: the values are counted in bins, 64 for each doubling."""
+    """Figures of values that come in pieces. The values are counted in bins, 64 for each doubling."""
 
     def __init__(self) -> None:
         self.n = self.misses = 0
@@ -85,7 +85,8 @@ class BinnedValues:
 
 @dataclass(slots=True)
 class _Shown:
-    """A shown stream: its figures, how many rows are in them, how many rows it had before, and skipped periods."""
+    """A shown stream: its figures, the number of rows in them, the number of its rows before these, and skipped
+    periods."""
 
     figures: BinnedValues
     rows: int = 0
@@ -97,7 +98,7 @@ class _Shown:
 class NewValues:
     """What a stream received since the last snapshot: the values and when each was there, int64 (n,).
 
-    `before` are the figures without them, `source` is that of the Stream, `tid` as in a Growth.
+    `before` are the figures without them; `source` is that of the Stream, `tid` that of the Growth.
     """
 
     source: object
@@ -127,7 +128,7 @@ class LiveFigures:
         self._at_ns = observed.begin_ns
 
     def snapshot(self, at_ns: int) -> Snapshot:
-        """The figures at a time, which is not before that of the last snapshot."""
+        """The figures at a time, which must not be before that of the last snapshot."""
         passed_s = (at_ns - self._at_ns) / 1e9
         self._at_ns = at_ns
         rows = tuple(
@@ -185,7 +186,7 @@ class LiveFigures:
 
 
 def gaps_in_words(gaps: Sequence[Gap]) -> str:
-    """How many gaps there were, how long they were together, and why."""
+    """The number of gaps, their total length, and their causes."""
     reasons = ", ".join(dict.fromkeys(gap.reason for gap in gaps))
     together_s = covered_ns((gap.from_ns, gap.until_ns) for gap in gaps) / 1e9
     return printable(f"{counted(len(gaps), 'gap')} of {together_s:.3g} s together: {reasons}")

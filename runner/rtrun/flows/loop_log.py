@@ -1,4 +1,4 @@
-"""What is known of a thread and its loop: its activations, the grid of its due times, and what a reader has to know."""
+"""What is known about a thread and its loop: its activations, the grid of its due times, and remarks for readers."""
 
 from array import array
 from collections import Counter
@@ -59,7 +59,7 @@ class LoopLog:
 
     @property
     def is_shown(self) -> bool:
-        """Whether it is a stream. A program's ordinary threads are none once it has real-time ones."""
+        """Whether it is a stream. Once a program has real-time threads, its ordinary threads are not."""
         return self.is_real_time or not self.is_dropped
 
     @property
@@ -70,7 +70,7 @@ class LoopLog:
     def period_ns(self) -> int | None:
         """The period, if its due times lie on a grid; None if each sleep begins anew, or too few were seen.
 
-        On a grid the time between two due times is more constant than the time from asking to being due.
+        On a grid the time between two due times varies less than the time from asking to being due.
         """
         rows = min(len(self.asked), GRID_ROWS)
         if rows < _GRID_ROWS_LEAST:
@@ -106,7 +106,7 @@ class LoopLog:
         return "sleeps for a time that it reckons anew each time, so skipped periods are not counted"
 
     def in_words(self) -> Iterator[str]:
-        """What a reader has to know of its values, or why it has none."""
+        """What a reader has to know about its values, or why it has none."""
         if not len(self.rows) or self.is_asked:
             yield self.rhythm()
         if self.past_due:
@@ -158,7 +158,7 @@ class LoopThread:
         self.cut()
 
     def cut(self) -> None:
-        """Events are missing: nothing is known of what it does."""
+        """Events are missing: what it does now is unknown."""
         self.is_joined = False
         """Its next activation follows the one before without a gap."""
         self.timers: dict[int, LoopTimer] = {}

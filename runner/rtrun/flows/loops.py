@@ -1,7 +1,7 @@
 """Loops of threads: when each was due, ran and slept again, from the kernel's own events.
 
 A thread arms a timer and sleeps; the timer's interrupt wakes it, and it runs. An activation begins there. It ends where
-the thread began the sleep that its next timer ended, so what it waits for within a cycle is part of the cycle.
+the thread began the sleep that its next timer ended, so other waits within a cycle are part of the cycle.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -50,7 +50,7 @@ class LoopRecord:
                 if is_observed(program, thread, self._names):
                     living[thread.tid] = program, thread
                 elif (known := self.threads.get(thread.tid)) is not None and known.program.pid == program.pid:
-                    # It was observed as long as its program had no real-time thread, or as one of these.
+                    # It was observed until its program had a real-time thread, or as one of those.
                     known.log.is_dropped = True
         for tid, one in list(self.threads.items()):
             now = living[tid][0] if tid in living else None
@@ -124,7 +124,7 @@ class LoopRecord:
     def finish(self) -> None:
         """There are no more events: an activation has ended if its thread sleeps."""
         for one in self.threads.values():
-            # What it sleeps for within a cycle is no end: only its next timer shows that it asked for the next time.
+            # A sleep within a cycle is not the end: only its next timer shows that it asked for the next time.
             if one.open_ns is not None and one.asleep_ns is not None and one.timers:
                 self._close(one, one.asleep_ns)
 
@@ -166,12 +166,12 @@ class LoopRecord:
         yield from zip(*(part.tolist() for part in parts), strict=True)
 
     def _start(self, at_ns: int, tid: int, handle: int, soft_ns: int, function: int) -> None:
-        """A thread arms a timer, from when on it may expire."""
+        """A thread arms a timer that may expire from `soft_ns` on."""
         one = self.threads[tid]
         self._runs(at_ns, one)
         is_sleep = self._functions.get(function & (1 << 64) - 1) == SLEEP
         if not is_sleep and (timer := one.timers.get(handle)) is not None and timer.expired_ns is not None:
-            # It had expired while its thread ran, which only now takes note of that.
+            # It had expired while its thread ran, and only now the thread reacts.
             self._activate(one, timer, UNKNOWN_NS, at_ns, at_ns, 0, "")
         for old in [each for each in one.timers.values() if each.handle == handle or (is_sleep and each.is_sleep)]:
             self._disarm(one, old)
@@ -206,7 +206,7 @@ class LoopRecord:
             expired = [each for each in one.timers.values() if each.expired_ns is not None and each.expired_cpu == cpu]
             timer = min(expired, key=lambda each: each.due_ns, default=None)
         if one.is_on or by_tid == tid:
-            # The interrupt came before it slept: it runs on.
+            # The interrupt came before it slept: it continues to run.
             if timer is not None:
                 self._activate(one, timer, at_ns, at_ns, timer.asked_ns, 0, "")
             return
@@ -237,9 +237,10 @@ class LoopRecord:
             one.cut()
 
     def _runs(self, at_ns: int, one: LoopThread) -> None:
-        """A thread runs, though the kernel may not have recorded its switch to it: it does not record every switch.
+        """A thread runs, though the kernel may not have recorded the switch to it: it does not record every switch.
 
-        These are late more often than others. So they count, from the first time at which the thread is seen to run.
+        Such activations are late more often than others. So they count, from the time at which the thread is first seen
+        to run.
         """
         if not one.is_on and one.woken is not None:
             one.log.unseen += one.woken[0] is not None

@@ -1,13 +1,12 @@
 """Which publication a received message is: by the time stamp of its source, or by its first bytes and length.
 
-A stamp names one message. Humble and Iron take it within the publication, where no probe sees it: there the message is
-that of the publication which had begun, and whose thread had not gone on.
+A stamp names one message. Humble and Iron take it within the publication, where no probe sees it: there the message
+belongs to the publication that had begun at that time and whose thread had done nothing else since.
 
 The same bytes may be published again. So bytes are matched only if their order decides it: as many messages were
-received as were published since a moment at which none of them can have been on their way. Three things are taken for
-granted. Nothing is on its way for longer than the horizon. No unobserved program publishes the same bytes on a topic as
-an observed one. A publisher whose last hundred messages all differed did not publish the same bytes while it was not
-seen.
+received as were published since a moment at which none of them can have been on their way. This assumes three things.
+No message is on its way for longer than the horizon. No unobserved program publishes the same bytes on a topic as an
+observed one. A publisher whose last hundred messages all differed did not publish the same bytes while it was not seen.
 """
 
 from bisect import bisect_left, bisect_right
@@ -30,7 +29,7 @@ _WRITE_MAX_NS = 10**8
 _ALIKE_MAX = 64  #: observed messages with one time stamp: each reception is compared with all of them
 # How many messages in a row have to differ from each other. At 10 Hz they are within the horizon.
 _UNLIKE_MIN = 100
-# Times of a realtime clock, 2014 to 2039: no part of a double that anyone sends looks like them.
+# Times of a realtime clock, 2014 to 2039: no part of a double that is sent in practice looks like these.
 _REALTIME_S = range(1_400_000_000, 2_200_000_000)
 
 
@@ -40,7 +39,7 @@ def has_header(payload: Payload) -> bool:
 
 
 class Fates(Protocol):
-    """The receiver of the outcomes: what became of a received message, or of a forgotten publication."""
+    """Receives the outcomes: what became of a received message, or of a forgotten publication."""
 
     def matched(self, reception: Reception, publication: Publication) -> None: ...
     def ambiguous(self, reception: Reception, candidates: Sequence[Publication]) -> None: ...
@@ -53,7 +52,7 @@ class Fates(Protocol):
 class StampMatching:
     """Messages of one topic by the time stamp that their publisher gave them.
 
-    Where that is not seen at the publication, it is the first one that is received and lies within the publication.
+    If no probe sees the stamp at the publication, it is the first received stamp that lies within the publication.
     """
 
     def __init__(self, fates: Fates, horizon_ns: int, state: ObservationState) -> None:
@@ -85,7 +84,7 @@ class StampMatching:
         self._unstamped.append(publication)
 
     def _enclosing(self, key: int) -> list[Publication]:
-        """The publications without a stamp that this one may be of: the nearest, as writing takes microseconds."""
+        """The publications without a stamp to which this one may belong: the nearest, as writing takes microseconds."""
         offset_ns = self._state.offsets_ns.get(SYSTEM)
         if offset_ns is None:
             return []
@@ -159,11 +158,11 @@ class StampMatching:
 
 
 class _SameBytes:
-    """The publications with one payload, and the receptions of it that are not matched yet, by subscriber.
+    """The publications with one payload, and by subscriber the receptions of it that are not matched yet.
 
     `is_early`: when the payload was first seen, a message from before the begin may have been on its way. So a match is
-    `held` until the payload was not seen again for the horizon; it does not count if the publisher repeats itself.
-    `is_unclear` for all subscribers, or those in `unclear`: order decides nothing.
+    `held` until the payload has not been seen for the horizon; it does not count if the publisher repeats itself. For
+    all subscribers (`is_unclear`), or those in `unclear`, order decides nothing.
     """
 
     __slots__ = ("done", "held", "is_early", "is_unclear", "last_ns", "published", "unclear", "waiting")
@@ -212,7 +211,7 @@ class PayloadMatching:
             same.done[end] = len(same.published)
             self._fates.historic(reception)
         elif not candidates:
-            # From an unobserved publisher, or published before. The same may hold for the next ones with these bytes.
+            # It is from an unobserved publisher, or was published before. So may be the next ones with these bytes.
             self._fates.unmatched(reception)
             self._make_unclear(same)
         elif same.is_unclear or end in same.unclear:
@@ -250,7 +249,7 @@ class PayloadMatching:
         return not any(begin_ns <= time_ns - offset_ns <= at_ns for time_ns in times for offset_ns in offsets)
 
     def _resolve(self, same: _SameBytes, end: End) -> None:
-        """As many were received as published: match them in order, if one publisher sent them all."""
+        """If as many were received as published, and one publisher sent them all, match them in order."""
         candidates = same.published[same.done.get(end, 0) :]
         if len({publication.endpoint for publication in candidates}) > 1:
             self._give_up(same, end, same.waiting.pop(end))
@@ -268,7 +267,7 @@ class PayloadMatching:
             self._give_up(same, end, same.waiting.pop(end))
 
     def _give_up(self, same: _SameBytes, end: End, receptions: Sequence[Reception]) -> None:
-        """Report as ambiguous: any of the open publications may be any of these."""
+        """Report as ambiguous: each of these may be any of the open publications."""
         candidates = same.published[same.done.get(end, 0) :]
         same.unclear |= {end}
         same.done[end] = len(same.published)
@@ -278,7 +277,7 @@ class PayloadMatching:
     def expire(self, now_ns: int) -> None:
         """Forget what was published longer ago than the horizon.
 
-        An unclear payload stays so until it was not seen for that long.
+        An unclear payload stays unclear until it has not been seen for that long.
         """
         oldest, before_ns = self._oldest, now_ns - self._horizon_ns
         while oldest and oldest[0][0] < before_ns:
@@ -305,7 +304,7 @@ class PayloadMatching:
         self._fates.forgotten(publication)
 
     def _settle(self, same: _SameBytes) -> None:
-        """Decide what can be decided about a payload that is not seen any more."""
+        """Decide what can be decided about a payload that no longer occurs."""
         for reception, publication in same.held.values():
             self._decide(reception, publication)
         for end in [*same.waiting]:
@@ -328,7 +327,7 @@ class PayloadMatching:
     def cut(self) -> None:
         """Forget everything: what comes next must not be joined with what came before."""
         for same in self._open.values():
-            # It is not known whether the held messages would have come again.
+            # Whether the held messages would have come again is unknown.
             self._make_unclear(same)
             self._settle(same)
         self._open.clear()

@@ -1,4 +1,4 @@
-"""Messages of every pair of publisher and subscriber: what was published, received and lost, in numbers that add up."""
+"""Messages of every pair of publisher and subscriber: published, received and lost ones, in numbers that add up."""
 
 from collections.abc import Sequence
 
@@ -15,8 +15,8 @@ Payload = tuple[int, int, int]
 class Copies:
     """Messages that a subscriber took from its own process, and whose callback was not seen to begin.
 
-    With intra-process communication rclcpp hands the message itself to the callback, by pointer, which no probe sees.
-    If anybody outside subscribes, too, the middleware brings a copy, which rclcpp takes and discards.
+    With intra-process communication rclcpp passes the message to the callback by pointer, which no probe sees. If a
+    program outside subscribes, too, the middleware brings a copy, which rclcpp takes and discards.
     """
 
     __slots__ = ("_number", "_process")
@@ -41,10 +41,11 @@ class End:
     """One end of a topic, over all restarts of its program: a publisher, or a subscriber.
 
     Each message that a subscriber takes is either received, a duplicate, ambiguous, historic (published before the
-    subscriber was there), unmatched, or not decided yet. `forgotten` counts publications that nobody was seen to take.
+    subscriber was there), unmatched, or not decided yet. `forgotten` counts publications that no subscriber was seen to
+    take.
 
-    A publisher of a lifecycle node pauses while that is not active. `paused_ns` is since when, None: it does not;
-    `pauses` counts them.
+    A publisher of a lifecycle node pauses while the node is not active: since `paused_ns`, None if it does not;
+    `pauses` counts the pauses.
     """
 
     __slots__ = (
@@ -74,13 +75,13 @@ class End:
         return index
 
     def pause(self, at_ns: int) -> None:
-        """A node of its process is not active any more."""
+        """A node of its process has been deactivated."""
         if len(self.times):
             self.paused_ns = at_ns
             self.pauses += 1
 
     def resume(self) -> None:
-        """The latest message is the first one of a publisher that had paused."""
+        """The latest message is the first one after a pause."""
         index = len(self.times) - 1
         if self.cuts[-1] != index:
             self.cuts.add((index,))
@@ -105,7 +106,7 @@ SUBSCRIPTIONS = HandleTable[Endpoint]()
 
 
 class Publication:
-    """One call of publish. `begins`: when each path that it is on began, by path and place.
+    """One call of publish. `begins`: when each path to which it belongs began, by path and place.
 
     `until_ns` is when its thread did something else; None: that is not known. `has_stamp`: its time stamp is known.
     `resumes`: it is the first one after a pause.
@@ -142,11 +143,11 @@ class Reception:
 
     @property
     def is_own(self) -> bool:
-        """Whether it may come from its own process, and thus be a copy of what that passes on by pointer."""
+        """Whether it may come from its own process, and thus be a copy of a message that this passes by pointer."""
         return self.publication is None or self.publication.endpoint.process is self.endpoint.process
 
     def is_left(self) -> None:
-        """Its thread did not call back for it, but did something else."""
+        """Its thread did something else instead of calling back for it."""
         process = self.endpoint.process
         if self.is_own and process.shows_callbacks:
             self.endpoint.end.copies.add(process)
@@ -154,7 +155,7 @@ class Reception:
                 self.pair.copies.add(process)
 
     def ended(self, at_ns: int) -> None:
-        """Its callback has ended; of several the last one counts."""
+        """Its callback has ended; if there are several, the last one counts."""
         self.end_ns = at_ns
         if self.pair is not None:
             self.pair.rows.put(self.row, CALLBACK_END, at_ns)
@@ -227,7 +228,7 @@ class MessagePair:
 
     @property
     def longest_ns(self) -> int:
-        """How long a message took at most; 0 if none came."""
+        """The longest time that a message took; 0 if none came."""
         return max((int((piece[:, RECEIVED] - piece[:, PUBLISHED]).max()) for piece in self.rows.pieces()), default=0)
 
     @property
@@ -238,7 +239,7 @@ class MessagePair:
 
 
 class MessageRecord:
-    """The pairs of an observation; the matching tells it what became of each message."""
+    """The pairs of an observation. The matching reports to it what became of each message."""
 
     def __init__(self, state: ObservationState) -> None:
         self._state = state
@@ -297,7 +298,7 @@ class MessageRecord:
         self.takers -= len(publication.takers)
 
     def unlink(self) -> None:
-        """Hits are missing: what comes next is counted from its own first message on."""
+        """Hits are missing: from here on messages are counted anew, from the next one on."""
         self._links_epoch += 1
 
     def _pair(self, publisher: End, subscriber: End) -> MessagePair | None:

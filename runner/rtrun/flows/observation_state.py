@@ -18,7 +18,7 @@ LABELS_MAX = 50_000  #: pairs of a label of an observation and a pid, those of e
 
 
 class ObservationState:
-    """Where an observation stands. `epoch` counts the gaps: what was seen in two epochs must not be joined."""
+    """The state of an observation. `epoch` counts the gaps: things seen in two epochs must not be joined."""
 
     def __init__(self, begin_ns: int, store: RowStore) -> None:
         self.epoch = 0
@@ -43,7 +43,7 @@ class ObservationState:
         return self._streams >= STREAMS_MAX
 
     def add_stream(self) -> bool:
-        """Take room for another stream; False if there is none."""
+        """Reserve room for another stream; False if there is none."""
         if self.is_full:
             self.left_out += 1
             return False
@@ -51,7 +51,7 @@ class ObservationState:
         return True
 
     def add_thing(self) -> bool:
-        """Take room for another living thing; False if there is none."""
+        """Reserve room for another living thing; False if there is none."""
         if self._things >= THINGS_MAX:
             self.left_out += 1
             return False
@@ -59,11 +59,11 @@ class ObservationState:
         return True
 
     def has_room(self, handle: Handle, known: Mapping[Handle, object]) -> bool:
-        """Whether a thing is known by its handle; otherwise take room for it, False if there is none."""
+        """Whether a thing is known by its handle, or room could be reserved for it."""
         return handle in known or self.add_thing()
 
     def drop_things(self, number: int) -> None:
-        """This many things have ended: free their room."""
+        """Free the room of this many things, which have ended."""
         self._things -= number
 
     def add_pid(self, label: str, pid: int) -> None:

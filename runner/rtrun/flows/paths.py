@@ -1,4 +1,5 @@
-"""Paths of topics: how long after a message of a path's first topic the message of its last topic came from it."""
+"""Paths of topics: the time from a message on a path's first topic to the message on its last topic that follows from
+it."""
 
 from collections.abc import Sequence
 
@@ -10,7 +11,7 @@ _Hop = tuple[int, int]
 
 
 class PathLog:
-    """Messages of a publisher at the end of a path: from when to when. For `unknown` ones the begin is not known."""
+    """The begin and end of each message of a publisher at the end of a path. `unknown` ones have no known begin."""
 
     __slots__ = ("rows", "unknown")
 
@@ -32,7 +33,7 @@ class PathRecord:
                 self._hops.setdefault(topic, []).append((number, place))
 
     def published(self, publication: Publication, handled: Reception | None) -> None:
-        """A message was published; `handled` is the received message in whose callback, None if not known."""
+        """A message was published, within the callback of the received message `handled`; None if that is not known."""
         for number, place in self._hops.get(publication.endpoint.topic, ()):
             begin_ns = publication.at_ns if place == 0 else None
             if place and handled is not None and handled.publication is not None:

@@ -28,7 +28,7 @@ class ProcessTable:
         for pid, process in list(self.processes.items()):
             program = listed.get(pid)
             if program is None:
-                # It may have ended after the hits of this feed: its last ones come with the next.
+                # It may have ended after the hits of this feed: its last hits come with the next feed.
                 if process.is_alive:
                     process.is_alive, process.ended_feed = False, self.feed
                 elif self.feed - process.ended_feed > 1:
@@ -56,7 +56,7 @@ class ProcessTable:
     def thread(self, pid: int, tid: int) -> ObservedThread | None:
         """The thread of a hit; None if there is no room for it.
 
-        Pid 0: the process was not known; the list of programs, or other hits of the thread, may show it.
+        Pid 0: the process is not known; the list of programs, or other hits of the thread, may show it.
         """
         pid = pid or self._pids.get(tid, 0)
         thread = self.threads.get(tid)

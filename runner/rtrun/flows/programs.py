@@ -1,4 +1,4 @@
-"""Observed processes while they live, and names for their nodes and things that outlast a restart."""
+"""Observed processes while they live, and names of their nodes and things that stay the same after a restart."""
 
 import re
 from collections import Counter
@@ -57,7 +57,7 @@ class LivingProcess:
         return 1 + len(self.names_of_nodes) + sum(map(len, self.tables.values()))
 
     def node(self, handle: Handle | None) -> str:
-        """The name of a node that was seen to begin; otherwise that of the only node, or the label of the process.
+        """The name of a node that was seen to begin; else that of the only node, or the label of the process.
 
         A process that ran before it was observed has its own label for all nodes, also after a restart.
         """
@@ -70,7 +70,8 @@ class LivingProcess:
 
 
 class HandleTable(Generic[T]):
-    """The things of one sort, by handle: each process has a table of its own, and drops it when it ends."""
+    """The things of one sort, by handle. Each process has a table of its own, which is dropped when the process
+    ends."""
 
     def of(self, process: LivingProcess) -> dict[Handle, T]:
         """The table of a process."""
@@ -100,10 +101,10 @@ class _Living(Protocol):
 
 
 class Numbering:
-    """Numbers things that nothing else tells apart: no two living ones share a number.
+    """Numbers things that nothing else distinguishes: no two living ones share a number.
 
-    After a restart a thing gets its old number again, and of several the one whose command line is most like its own.
-    If that leaves several, it gets a new number: two programs of one name must not become one.
+    After a restart a thing gets its old number again; if several are free, the one whose command line is most like its
+    own. If that leaves several, it gets a new number: two programs of one name must not become one.
     """
 
     def __init__(self) -> None:
@@ -128,7 +129,7 @@ class Numbering:
 
 
 def _likeness(argv: tuple[str, ...], other: tuple[str, ...]) -> tuple[bool, int]:
-    """How much two command lines are alike; a launch file may give each start a file of its own."""
+    """The likeness of two command lines; a launch file may give each start a file of its own."""
     return argv == other, (Counter(argv) & Counter(other)).total()
 
 
@@ -144,7 +145,7 @@ def _is_of_rclcpp(program: ObservedProgram) -> bool:
 def label_of(program: ObservedProgram) -> str:
     """The full name of the node as the command line gives it, else the name of the program or of its script.
 
-    It is cut to NAME_CHARACTERS_MAX: every stream keeps it, also after its program has ended.
+    It is cut to NAME_CHARACTERS_MAX, because every stream keeps it, also after its program has ended.
     """
     return _told_label(program)[:NAME_CHARACTERS_MAX]
 
@@ -157,7 +158,7 @@ def _told_label(program: ObservedProgram) -> str:
     script = script_of(program.argv) or program.name
     names, spaces = told.get("name", set()), told.get("ns", set())
     if not names and len(spaces) == 1:
-        # The code mostly names a node like its program.
+        # The code usually names a node like its program.
         names = {script}
     if len(names) == 1 and len(spaces) <= 1:
         return full_name(next(iter(names)), next(iter(spaces), ""))

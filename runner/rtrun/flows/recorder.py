@@ -1,4 +1,4 @@
-"""Single messages and callbacks of an observation, to be drawn."""
+"""Single messages and callbacks of an observation, to draw them."""
 
 from typing import NamedTuple
 

@@ -25,7 +25,7 @@ _EXTENT_BYTES_LEAST = 512
 class RowStore:
     """All rows of an observation. `folder` is where the file is; None: where temporary files are.
 
-    The file is made when the first rows go there, and is gone when nobody holds the store any more.
+    The file is made when the first rows go there, and vanishes with the store.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -43,7 +43,7 @@ class RowStore:
     def ease(self) -> None:
         """Write rows to the file if too many are in memory.
 
-        Raises NoRoom if there are more than may be kept, or if the disk does not take them; no row is lost.
+        Raises NoRoom if there are more than may be kept, or if the disk refuses them; no row is lost.
         """
         if sum(len(rows.tail) for rows in self._tables) * 8 <= IN_MEMORY_BYTES_MAX:
             return
@@ -69,7 +69,7 @@ class RowStore:
         return place
 
     def fill(self, into: Int64s, at: int) -> None:
-        """Read numbers from a place of the file on. Raises NoRoom if that fails."""
+        """Read numbers from the file, from a place on. Raises NoRoom if that fails."""
         assert self._file is not None
         left = into.data.cast("B")
         with kept_in(self.folder):
@@ -87,7 +87,7 @@ class RowStore:
 
 
 class Rows:
-    """Rows of one thing, each of `width` numbers; `add` takes the numbers of one row, or of several."""
+    """Rows of one thing, each of `width` numbers; `add` takes the numbers of one or several rows."""
 
     __slots__ = ("_offsets", "_spooled", "_starts", "_store", "add", "tail", "width")
 
@@ -98,7 +98,7 @@ class Rows:
         """What is in memory."""
         self.add: Callable[[Iterable[int]], None] = self.tail.extend
         self._spooled = 0
-        # For each part in the file: its first row, and where it is.
+        # For each part in the file: its first row, and its place.
         self._starts: array[int] | None = None
         self._offsets: array[int] | None = None
 
@@ -115,7 +115,7 @@ class Rows:
         del self.tail[:]
 
     def _place(self, row: int) -> tuple[int, int]:
-        """Where a row is in the file, and the first row after the part that it is in."""
+        """The place of a row in the file, and the first row after its part."""
         assert self._starts is not None and self._offsets is not None
         part = bisect_right(self._starts, row) - 1
         end = self._starts[part + 1] if part + 1 < len(self._starts) else self._spooled
@@ -172,7 +172,7 @@ class Rows:
     def in_order(self, column: int) -> Iterator[Int64s]:
         """All rows sorted by a column, some at a time; rows with the same number keep their order.
 
-        A row waits in memory only while later rows may come before it.
+        A row waits in memory only while later rows may sort before it.
         """
         least = np.array([piece[:, column].min() for piece in self.pieces()], np.int64)
         later = np.append(np.minimum.accumulate(least[::-1])[::-1], np.iinfo(np.int64).max)

@@ -1,4 +1,5 @@
-"""The streams of an observation: the accumulator's records, with names that outlast a restart and columns to keep."""
+"""The streams of an observation: the accumulator's records, with names that stay the same after a restart, and
+columns."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,7 +25,7 @@ OBSERVED = tuple(
 def streams(observed: FlowAccumulator) -> Iterator[Stream]:
     """Yield a stream for each measured thing, in the order in which they were first seen.
 
-    All streams together may be larger than the memory. A stream that there was no room to read has `trouble` instead.
+    All streams together may be larger than the memory. A stream without room to be read has `trouble` instead.
     """
     seen: dict[tuple[object, ...], int] = {}
     for kind in OBSERVED:

@@ -1,4 +1,4 @@
-"""What a thread is doing: the message or timer that it handles, and the callbacks that it is in."""
+"""What a thread is doing: the message or timer that it handles, and its open callbacks."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,7 +13,7 @@ _CALLS_WITHOUT_CAUSE = 8
 
 
 def owner_of(cause: Cause | None) -> LivingThing | None:
-    """The subscription or timer of what a thread took or called."""
+    """The subscription of a message that a thread took, or the timer that it called."""
     return cause.timer if isinstance(cause, TimerCall) else cause.endpoint if cause is not None else None
 
 
@@ -31,10 +31,10 @@ class CallbackLog:
 
 
 class LivingCallback(LivingThing):
-    """A callback of a living process. It gets a subject once its owner is known, or once that will not be known.
+    """A callback of a living process. It gets a subject once its owner is known, or certain to stay unknown.
 
-    `owner` is the subscription or timer whose callback it is. `is_linked`: rclcpp has named the owner. Otherwise the
-    first call shows it. `is_guess`: only copies have shown it, if they are copies. `is_mixed`: it was called after
+    `owner` is the subscription or timer whose callback it is. `is_linked`: rclcpp has named the owner; otherwise the
+    first call shows it. `is_guess`: only messages that may be copies have shown it. `is_mixed`: it was called after
     several owners, so it is not known what it handles.
     """
 
@@ -52,7 +52,7 @@ class LivingCallback(LivingThing):
         self.logs: dict[ObservedThread, CallbackLog] = {}
 
     def is_of(self, cause: Cause | None) -> bool:
-        """Whether a call directly after `cause` handles that; the first cause shows whose callback it is."""
+        """Whether a call directly after `cause` handles it. The first cause shows whose callback it is."""
         if cause is None:
             return False
         owner = owner_of(cause)
@@ -70,17 +70,17 @@ class LivingCallback(LivingThing):
 
     @property
     def is_certain(self) -> bool:
-        """Whether its owner is no guess: several calls have not shown that its process passes on pointers."""
+        """Whether its owner is certain: several calls have not shown that its process passes messages by pointer."""
         return not self.is_guess or self.calls >= _CALLS_WITHOUT_CAUSE
 
     def forget_guess(self) -> None:
-        """Its process passes on pointers: what it took before a call is no owner."""
+        """Its process passes messages by pointer: what it took before a call does not show the owner."""
         if self.is_guess:
             self.owner, self.is_guess, self.is_mixed = None, False, False
 
     @property
     def is_ready(self) -> bool:
-        """Whether it can be named: its subject is known, or several calls have not shown it."""
+        """Whether it can be named: its subject is known, or several calls have not revealed it."""
         known = self.owner is not None and (not isinstance(self.owner, LivingTimer) or self.owner.log is not None)
         return (known and self.is_certain) or self.calls >= _CALLS_WITHOUT_CAUSE
 
@@ -89,9 +89,9 @@ CALLBACKS = HandleTable[LivingCallback]()
 
 
 class OpenCallback(NamedTuple):
-    """A callback that has begun. `message` is what it handles, if that is certain.
+    """A callback that has begun. `message` is the one that it handles, if that is certain.
 
-    `is_direct`: it belongs to what its thread took or called directly before, as far as is known.
+    `is_direct`: as far as is known, it belongs to the message or timer that its thread took or called directly before.
     """
 
     callback: LivingCallback
@@ -102,7 +102,7 @@ class OpenCallback(NamedTuple):
 
 @dataclass(slots=True)
 class OpenTurn:
-    """A piece of work that a thread has begun: how often it triggered a guard condition since, and when last.
+    """A piece of work that a thread has begun: how often it has triggered a guard condition since, and when last.
 
     `awaits_callback`: it has taken or called something, and the callback may begin elsewhere, or never.
     """
@@ -143,7 +143,7 @@ class ObservedThread:
         return self.process.is_alive and not self.has_ended
 
     def cut(self) -> None:
-        """Hits are missing: nothing is known of what it does."""
+        """Hits are missing: what it does now is unknown."""
         self.cause: Cause | None = None
         self.callbacks: list[OpenCallback] = []
         self.has_callbacks = False
@@ -157,7 +157,7 @@ class ObservedThread:
         """Messages since it last waited; None: it was never seen to wait, or has done something else since."""
 
     def turns_to(self, cause: Cause | None) -> None:
-        """It does something else: nothing was called back for what it took before."""
+        """It does something else: there was no callback for what it took before."""
         if isinstance(self.cause, Reception):
             self.cause.is_left()
         self.cause = cause
@@ -182,7 +182,7 @@ class ObservedThread:
         self.triggers = 1 if self.triggers is None else self.triggers + 1
 
     def does_other_work(self) -> None:
-        """The thread does something that is neither a publication nor one of the above."""
+        """The thread does something that is neither a publication nor anything above."""
         self.turns_to(None)
         self.taken = None
 

@@ -1,7 +1,7 @@
-"""Timers: when each callback began, when it was due, and how late it therefore was.
+"""Timers: when each callback began, when it was due, and thus how late it was.
 
 A timer is called before its callback begins. In rclpy, rcl and roscpp the callback follows at once on the same thread,
-so the call is its begin. In rclcpp another thread may take it from a queue: there the begin is where a probe sees it.
+so the call is its begin. In rclcpp another thread may take it from a queue, and a probe shows the begin.
 """
 
 from array import array
@@ -28,7 +28,7 @@ _QUEUED_MAX = 64  #: calls of an observed timer whose callbacks have not begun
 _SAME_CLOCK = {"ros": "system"}  # unless the time is simulated
 LATE_MAX_NS = 3600 * 10**9  # simulated time is further from the clock
 _NTP_DRIFT = 5e-4  # clocks that NTP disciplines drift by 500 ppm at most
-_STEP_LEAST_NS = 20_000  # what two readings of a pair of clocks differ by on a busy machine
+_STEP_LEAST_NS = 20_000  # difference of two readings of a pair of clocks on a busy machine
 _ROUNDING_NS = 1000
 
 
@@ -83,7 +83,7 @@ class LivingTimer(LivingThing):
     """A timer of a living process; it gets a log after `LEAST_CALLS` calls.
 
     `due_ns` is when the latest call was due, if that is known. `waiting` are the calls whose callbacks have not begun,
-    oldest first, while all were seen from the timer's making on: in `whole_epoch`.
+    oldest first. It is kept in `whole_epoch`, in which all calls since the timer was made were seen.
     """
 
     __slots__ = (
@@ -114,7 +114,7 @@ class LivingTimer(LivingThing):
             self.whole_epoch = None
 
     def next_waiting(self, epoch: int) -> TimerCall | None:
-        """Take the oldest waiting call; None if an older one may wait that was not seen."""
+        """Take the oldest waiting call; None if an older one, which was not seen, may wait."""
         is_whole = self.whole_epoch == epoch
         return self.waiting.popleft() if is_whole and self.waiting else None
 
@@ -131,7 +131,7 @@ TIMERS = HandleTable[LivingTimer]()
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Lateness:
-    """The callbacks of known lateness of a timer: when each began, and by its own clock when it was due and began.
+    """A timer's callbacks of known lateness: when each began and, by the timer's own clock, when it was due and began.
 
     All int64 of shape (n,); `cuts` are as in a stream. `skipped` counts whole periods without a call, seen from the
     grid of the timer. `why_not` are sentences on why some or all calls are missing.
@@ -146,7 +146,7 @@ class Lateness:
 
 
 class ClockOffsets:
-    """How far other clocks lie from the one of the hits, from readings now and then."""
+    """The offsets of other clocks from the hits' clock, from occasional readings."""
 
     def __init__(self) -> None:
         self._at: dict[str, array[int]] = {}
@@ -158,7 +158,7 @@ class ClockOffsets:
         self._offset.setdefault(clock, array("q")).append(offset_ns)
 
     def read(self, clock: str, at_ns: Int64s) -> tuple[Int64s, "np.ndarray[tuple[int], np.dtype[np.bool_]]", int]:
-        """The offset at each of these times, whether it is known there, and by how much the clock stepped at most.
+        """The offset at each of these times, whether it is known there, and the largest step of the clock.
 
         The offset is known between two readings if the clock did not step between them. Shapes: int64 (n,), bool (n,);
         in nanoseconds.
@@ -194,7 +194,7 @@ def called_period_ns(log: TimerLog) -> int | None:
 def known_period_ns(log: TimerLog) -> int | None:
     """The period that the timer was given, if its callbacks begin at about that distance, or are due by whole periods.
 
-    A timer that always overruns begins later than its period each time; when it is due shows that.
+    The callbacks of a timer that always overruns are further apart than its period; their due times show the period.
     """
     if not log.period_ns or log.period_ns <= 0:
         return None
@@ -204,7 +204,7 @@ def known_period_ns(log: TimerLog) -> int | None:
 
 
 def is_on_grid(log: TimerLog, begin: int, end: int) -> bool | None:
-    """Whether most of these rows were due whole periods after the one before; None: that is not known of any."""
+    """Whether most of these rows were due whole periods after the one before; None if that is not known for any."""
     _, due, follows = _read(log, begin, end)
     told = due != NOT_SEEN_NS
     passed = np.diff(due)[follows[1:] & told[1:] & told[:-1]]
@@ -219,7 +219,7 @@ class CertainCalls(NamedTuple):
 
     When each began; when it was due and began on the timer's clock, int64 (n,); whether it must not be joined with the
     one before, bool (n,). `skipped` counts the whole periods before them without a call, `unknown` the rows at which
-    the clock is not known, and `step_ns` is by how much that was set at most.
+    the clock is not known; `step_ns` is the largest step by which the clock was set.
     """
 
     at_ns: Int64s
@@ -232,7 +232,7 @@ class CertainCalls(NamedTuple):
 
 
 def certain_calls(log: TimerLog, clock: str, begin: int, end: int, offsets: ClockOffsets) -> CertainCalls:
-    """Those of the rows from `begin` to before `end` whose lateness is certain: for the live view and the verdict."""
+    """The rows from `begin` to before `end` whose lateness is certain, for the live view and the verdict."""
     at, due, follows = _read(log, begin, end)
     offset, known, step_ns = offsets.read(clock, at)
     told = due != NOT_SEEN_NS

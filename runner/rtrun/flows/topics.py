@@ -1,4 +1,4 @@
-"""Both ends of each topic: what the hits of publishing and taking show, and names for publishers and subscribers."""
+"""Both ends of each topic, from the hits of publishing and taking, and names for publishers and subscribers."""
 
 from collections.abc import Callable, Mapping
 
@@ -57,7 +57,7 @@ class TopicRecord(MessageRecord):
         self._by_bytes: dict[str, PayloadMatching] = {}
 
     def expire(self, now_ns: int) -> None:
-        """Forget what was published too long ago."""
+        """Forget publications that are too old."""
         matchings, horizon_ns = self._matchings(), self._horizon_ns
         while True:
             for matching in matchings:
@@ -78,12 +78,12 @@ class TopicRecord(MessageRecord):
         self.unlink()
 
     def clock_was_set(self) -> None:
-        """Stamps of before belong to no publication of now."""
+        """The clock was set: earlier stamps belong to no later publication."""
         if any(matching.has_unstamped for matching in self._by_stamp.values()):
             self.cut()
 
     def told_apart_by(self, topic: str) -> str:
-        """What is compared to tell the messages of a topic apart, in words."""
+        """What distinguishes the messages of a topic, in words."""
         stamps = self._by_stamp.get(topic)
         by = [] if stamps is None else ["time of publication" if stamps.has_unstamped else "time stamp"]
         by += [f"first {_KEY_BYTES} bytes and length"] * (topic in self._by_bytes)
@@ -217,7 +217,8 @@ class TopicRecord(MessageRecord):
             subscriptions[handle] = endpoint
 
     def _change_state(self, hit: Hit, thread: ObservedThread) -> None:
-        """A node of lifecycle leaves a state. Which of its process it is, is not known: all publishers may be its."""
+        """A lifecycle node leaves a state. It is not known which node of the process this is: all publishers may be its
+        own."""
         thread.does_other_work()
         if hit.values.get("before") in _LEAVING:
             for endpoint in PUBLISHERS.of(thread.process).values():
@@ -237,7 +238,7 @@ class TopicRecord(MessageRecord):
 
 
 def key_of(values: Mapping[str, int | str]) -> int | Payload | None:
-    """What tells a message from others: its source's time stamp, or its bytes; None if the hit has neither.
+    """What identifies a message: its source's time stamp, or its bytes; None if the hit has neither.
 
     Bytes that follow a short message in memory are masked out.
     """

@@ -1,4 +1,5 @@
-"""The turns of each thread, one after another: a message or a timer, from when the thread took it until it was done."""
+"""The turns of each thread, one after another: a message or a timer, from when the thread took it until it had handled
+it."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -29,7 +30,7 @@ class TurnRecord:
     """Reports the turns of each thread, in the order in which their ends become known.
 
     A turn ends at the probe for the end of a callback (rclcpp), or at the last guard condition that rclpy triggers. In
-    C, if the thread is seen to wait, its turn ends when it waits or takes the next. In roscpp no end is seen.
+    C, if the thread is seen to wait, its turn ends when it waits or takes the next message. In roscpp no end is seen.
     """
 
     def __init__(self, on_turn: Callable[[Turn], None], state: ObservationState) -> None:
@@ -48,7 +49,7 @@ class TurnRecord:
         elif event in _ENDS:
             is_queued = event == "callback_begin" and "topic" not in hit.values
             if turn is not None and not turn.has_callback and (turn.awaits_callback or is_queued):
-                # It was discarded, or is called back for elsewhere.
+                # It was discarded, or its callback runs elsewhere.
                 thread.turn = None
             elif turn is not None:
                 self._end(turn, thread, _end_ns(turn, hit, thread))
@@ -89,12 +90,13 @@ class TurnRecord:
 
 
 def _is_direct(thread: ObservedThread) -> bool:
-    """Whether the callback that a thread has just begun belongs to what it took or called before."""
+    """Whether the callback that a thread has just begun belongs to the message or timer that it took or called
+    before."""
     return bool(thread.callbacks) and thread.callbacks[-1].is_direct
 
 
 def _end_ns(turn: OpenTurn, hit: Hit, thread: ObservedThread) -> int | None:
-    """When a turn ended, given the next thing that its thread did; None if that was not seen."""
+    """When a turn ended, given the next action of its thread; None if the end was not seen."""
     if turn.has_callback:
         return None
     if turn.triggers > 1:

@@ -29,10 +29,10 @@ class Stream:
 
     Long columns are in files: `pieces` reads them some rows at a time. `cuts`, int64, are rows before which hits are
     missing, or the program began again: such a row must not be joined with the one before. `period_ns` is the period of
-    a timer, if known. `remarks` are sentences on what is not known, and why. `open_ns`: if a value had not come at the
-    end, though its program lives, how long it is at least; otherwise 0. `source` is the record that the stream was read
-    from, which identifies the stream while it grows. `trouble` is why the columns could not be read; there are none
-    then.
+    a timer, if known. `remarks` are sentences on what is not known, and why. `open_ns` is the least length of a value
+    that had not come at the end although its program lives; otherwise 0. `source` is the record that the stream was
+    read from, which identifies the stream while it grows. `trouble` is why the columns could not be read; there are
+    none then.
     """
 
     kind: StreamKind

@@ -15,7 +15,7 @@ from rtrun.kinds.callback import STREAM as STREAM
 
 
 def sources(observed: FlowAccumulator) -> Iterator["CallbackSource"]:
-    # All threads are searched for it, once, and only for whole streams: live figures do not ask.
+    # This searches all threads, once, and only for whole streams: live figures do not need it.
     running = cache(lambda: dict(observed.open_calls()))
     return (CallbackSource(log, observed, running) for log in observed.calls.callbacks.values())
 

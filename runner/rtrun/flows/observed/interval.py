@@ -1,4 +1,4 @@
-"""The times at one end of a topic, and what became of the messages there."""
+"""The times of messages at one end of a topic, and what became of these messages."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

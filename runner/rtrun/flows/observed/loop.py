@@ -19,7 +19,7 @@ def sources(observed: FlowAccumulator) -> Iterator["LoopSource"]:
 
 
 def identity_of(log: LoopLog) -> Identity:
-    """What tells the loop of a thread from others."""
+    """What identifies the loop of a thread."""
     identity: Identity = {"program": log.program, "thread": log.thread}
     return {**identity, "clock": log.clock} if log.clock else identity
 

@@ -64,13 +64,13 @@ class MessageSource:
         return Growth(rows, times - new[:, PUBLISHED], times, rows, self.record.lost_so_far)
 
     def _untaken_ns(self) -> int:
-        """How long ago the first message was published that the subscriber has not taken; 0 if it is not overdue."""
+        """The age of the oldest message that the subscriber has not taken; 0 if it is not overdue."""
         pair, observed = self.record, self.observed
         publisher, subscriber = pair.publisher, pair.subscriber
         link = pair.link
         if link is None or not (is_seen(publisher, observed) and is_seen(subscriber, observed)):
             return 0
-        # The publisher has not restarted since the link began, and the subscriber took nothing from anybody since then.
+        # The publisher has not restarted since the link began, and since then the subscriber took no message at all.
         is_same = publisher.cuts[-1] <= link.first and subscriber.times[-1] <= link.until_ns
         unclear = max((int(piece.max()) for piece in pair.ambiguous.pieces()), default=-1)
         if not is_same or not unclear <= link.last < len(publisher.times) - 1:

@@ -1,4 +1,4 @@
-"""What a kind of stream has in the accumulator: each measured thing, as a whole, and what is new about it."""
+"""The interface of a kind of stream to the accumulator: each measured thing, as a whole, and its new rows."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class StreamSource(Protocol):
 
     @property
     def identity(self) -> Identity:
-        """What tells it from others of its kind; this outlasts a restart."""
+        """What identifies it among others of its kind, also after a restart."""
 
     @property
     def name(self) -> str: ...
@@ -56,7 +56,7 @@ class StreamSource(Protocol):
     def of(self) -> str: ...
 
     def stream(self) -> Stream:
-        """The whole stream, with what had not come at the end."""
+        """The whole stream, with values that had not come at the end."""
 
     def since(self, row: int) -> Growth:
         """What is new from a row on."""
@@ -71,18 +71,18 @@ class ObservedKind(Protocol):
 
 
 def stalled_ns(since_ns: int, longest_ns: int, observed: FlowAccumulator, until_ns: int | None = None) -> int:
-    """How long something had not come at the end, or until a time, if longer than ever before; otherwise 0."""
+    """How long nothing had come at the end, or until a time, if that is longer than ever before; otherwise 0."""
     passed_ns = (observed.until_ns if until_ns is None else until_ns) - since_ns
     return passed_ns if passed_ns > max(STALL_NS, longest_ns) else 0
 
 
 def is_seen(record: End | TimerLog, observed: FlowAccumulator) -> bool:
-    """Whether the thing lives, and no hits are missing since its last hit."""
+    """Whether the thing lives, and no hits have been missing since its last hit."""
     return record.latest is not None and record.latest[1].is_alive and record.latest[0] == observed.state.epoch
 
 
 def silent_ns(times: Rows, record: End | TimerLog, observed: FlowAccumulator, until_ns: int | None = None) -> int:
-    """How long ago the last message or call was, at the end or at a time, if longer than ever before; otherwise 0."""
+    """The time since the last message or call, at the end or at a time, if longer than ever before; otherwise 0."""
     if not is_seen(record, observed):
         return 0
     longest_ns = max((int(some.max(initial=0)) for some in steps(times, record.cuts)), default=0)
@@ -104,7 +104,7 @@ def segments(cuts: Int64s, rows: int, store: RowStore) -> Int64s:
 
 
 def without_values(kind: StreamKind, source: StreamSource, copies: Copies) -> Stream:
-    """The stream of what a process passes on by pointer, of which it took copies."""
+    """The stream of messages that a process passes by pointer, and of which it took copies: it has no values."""
     return Stream(
         kind=kind,
         identity=source.identity,
@@ -116,6 +116,6 @@ def without_values(kind: StreamKind, source: StreamSource, copies: Copies) -> St
 
 
 def spans_since(rows: Rows, row: int) -> Growth:
-    """What is new of rows that begin with a begin and an end."""
+    """The new part of rows whose first two numbers are a begin and an end."""
     begins, ends, *_ = rows.read(row).T
     return Growth(len(rows), ends - begins, ends, len(rows))

@@ -95,6 +95,6 @@ class TimerSource:
         new = certain_calls(log, log.clock, begin, end, offsets)
         late = new.real_ns - new.due_ns
         if late.size and abs(float(np.median(late))) > LATE_MAX_NS:
-            # Its grid is not one of the clock: the time is simulated.
+            # Its grid does not follow the clock: the time is simulated.
             return nothing
         return Growth(rows, late, new.at_ns, end, skipped=new.skipped)

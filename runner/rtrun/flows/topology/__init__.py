@@ -1,1 +1,1 @@
-"""What the processes of a topology have written: tables of activations and messages, and what follows from them."""
+"""What the processes of a topology have written: tables of activations and messages, and what these show."""

@@ -1,4 +1,4 @@
-"""Paths through a topology: to which activation of the source an activation of the sink goes back.
+"""Paths through a topology: from which activation of the source an activation of the sink results.
 
 An activation at the end of a path took a message that an activation of the node before published, and so on. Reaction
 and age are those of Feiertag, Richter, Nordlander and Jonsson, "A compositional framework for end-to-end path delay
@@ -26,7 +26,7 @@ class Spans:
 
 
 def origins(tables: TopologyTables, path: NodePath) -> tuple[Int64s, ...]:
-    """For each node of a path, from source to sink: its activations to which those of the sink go back.
+    """For each node of a path, from source to sink: the activations from which those of the sink result.
 
     Each is int64 of shape (activations of the sink,); NONE where a node had taken nothing of the path.
     """
@@ -41,7 +41,7 @@ def origins(tables: TopologyTables, path: NodePath) -> tuple[Int64s, ...]:
 
 
 def ages(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
-    """How old the data are at the end of each activation of the sink; `of` are their origins at the source."""
+    """The age of the data at the end of each activation of the sink; `of` are their origins at the source."""
     source, sink = tables.nodes[path.nodes[0]], tables.nodes[path.sink]
     rows = np.flatnonzero(of != NONE)
     rows = rows[(rows >= sink.first) & (of[rows] >= source.first)]
@@ -64,7 +64,7 @@ def reactions(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
 
 
 def unanswered(tables: TopologyTables, path: NodePath, answered: Spans) -> int:
-    """To how many activations of the source the sink never reacted, though the run went on for long enough.
+    """The number of activations of the source to which the sink never reacted, though the run lasted long enough.
 
     Long enough is twice the longest measured reaction; for later activations no reaction could be seen. `answered` are
     the reactions, at least one.
@@ -90,7 +90,7 @@ class Stage:
 
 
 def stages(tables: TopologyTables, path: NodePath, of: tuple[Int64s, ...], activation: int) -> tuple[Stage, ...]:
-    """The chain to which an activation of the sink goes back, node by node; `of` are the origins of all activations."""
+    """The chain from which an activation of the sink results, node by node; `of` are the origins of all activations."""
     hops: Mapping[tuple[str, str], HopTable] = {(hop.topic, hop.subscriber): hop for hop in tables.hops}
     made = []
     for place, name in enumerate(path.nodes):

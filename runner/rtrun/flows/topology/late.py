@@ -1,4 +1,4 @@
-"""Where the time of late reactions went: each cut into what the nodes and messages of its path took.
+"""Where the time of late reactions went: each is cut into what the nodes and messages of its path took.
 
 The parts add up to the reaction. Late reactions are those above the deadline. Without a deadline, or if no reaction is
 above it, the highest hundredth is compared with the others in the same way.
@@ -20,7 +20,7 @@ HIGHEST = 0.01
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PathPart:
-    """What a part of a path's reactions took on average, in late reactions and in the others, in ns."""
+    """How long a part of a path's reactions took on average, in late reactions and in the others, in ns."""
 
     what: str
     late_ns: float
@@ -35,7 +35,8 @@ class PathPart:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LatePath:
-    """The late reactions of a path: how many of how many, the limit, and their parts, the largest extra time first."""
+    """The late reactions of a path: their number, that of all, the limit, and their parts, the largest extra time
+    first."""
 
     path: NodePath
     late: int
@@ -45,7 +46,7 @@ class LatePath:
 
     @property
     def extra_ns(self) -> float:
-        """By how much late reactions took longer than the others, on average."""
+        """How much longer late reactions took than the others, on average."""
         return sum(part.extra_ns for part in self.parts)
 
     def share(self, part: PathPart) -> float:
@@ -121,7 +122,8 @@ def _parts(tables: TopologyTables, path: NodePath, of: Sequence[Int64s], spans: 
 def _wait_for_thread(
     tables: TopologyTables, node: NodeTable, due: Int64s, begin: Int64s, otherwise: str
 ) -> Iterator[tuple[str, Int64s]]:
-    """How long a node waited for its thread each time: by each node that the thread ran meanwhile, and `otherwise`."""
+    """How long each activation of a node waited for its thread: for each node that the thread ran meanwhile, and
+    `otherwise`."""
     executor, left = tables.topology.node[node.name].executor, begin - due
     for other in tables.topology.nodes:
         if other.executor != executor or other.name == node.name:
