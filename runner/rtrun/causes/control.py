@@ -1,4 +1,4 @@
-"""Windows before an outlier, of its length, in which nothing was late: who had each CPU, and for how long."""
+"""Windows before an outlier, as long as it, in which nothing was late: who had each CPU, and for how long."""
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ class Windows:
 
 
 def control_ns(length_ns: int) -> int:
-    """How far before an outlier windows of a length are searched for."""
+    """How far back from an outlier windows of a length are searched."""
     return max(min(WINDOWS_MAX * length_ns, CONTROL_NS), WINDOWS_WANTED * length_ns)
 
 
@@ -51,7 +51,7 @@ def windows_before(
         if place == len(events):
             continue
         if events[place].at_ns >= stop_ns:
-            # Nothing was recorded here: go on at the last event before.
+            # Nothing was recorded here: continue at the last event before.
             if place == 0:
                 break
             end_ns = min(end_ns, events[place - 1].at_ns + 1)

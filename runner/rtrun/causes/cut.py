@@ -1,9 +1,9 @@
-"""The time between when a thread should have run and when it did, cut into what took it.
+"""Cuts the time between when a thread should have run and when it did into what took it.
 
 The cut goes backwards from the moment at which the measured thread has its value. Time in which the thread ran counts
 for the thread, or for an interrupt within it. Time in which it waited for a CPU counts for whoever had the CPU. Time in
-which it slept counts for whatever woke it: a timer, whose interrupt may have been late; an interrupt; or a thread,
-which is then followed in the same way, also into another process.
+which it slept counts for what woke it: a timer, whose interrupt may have been late; an interrupt; or a thread. That
+thread is then followed in the same way, even into another process.
 """
 
 from bisect import bisect_left, bisect_right
@@ -57,7 +57,7 @@ def cut(
 
 
 def _not_interrupted(timeline: Timeline, part: Part) -> Iterator[Part]:
-    """Cut a part in which another thread of the program had the CPU, where a timer's interrupt was late.
+    """Cut a part in which another thread of the program had the CPU at the times when a timer's interrupt was late.
 
     Interrupts were off, or the CPU itself did not run: the thread may be innocent.
     """
@@ -80,7 +80,7 @@ def _not_interrupted(timeline: Timeline, part: Part) -> Iterator[Part]:
 def _slowed(timeline: Timeline, part: Part) -> Iterator[Part]:
     """Split off the time that a thread of the program lost because its CPU ran below its highest frequency.
 
-    That is the highest frequency in the trace. The time is an upper bound: code that waits for memory does not run
+    The highest frequency is that in the trace. The time is an upper bound: code that waits for memory does not run
     faster at a higher frequency.
     """
     changes = timeline.frequencies.get(-1 if part.cpu is None else part.cpu, ())
@@ -102,7 +102,8 @@ def _slowed(timeline: Timeline, part: Part) -> Iterator[Part]:
 
 
 def _in_callbacks(timeline: Timeline, pid: int, callbacks: Sequence[Callback], part: Part) -> Iterator[Part]:
-    """Cut a part that names nobody else by the earlier callbacks of the measured thread: the value waited for them.
+    """Divide a part that names no other culprit among the earlier callbacks of the measured thread: the value waited
+    for them.
 
     If the end of a callback was not seen, only the time that its thread ran until its next callback may belong to it.
     """
@@ -191,9 +192,9 @@ class _Walk:
             at_ns, place = asleep_ns, place - 1
 
     def _awaited(self, pid: int, waker: Waker, at_ns: int) -> int | None:
-        """The thread of the program that should have woken this one, but waited for a CPU when something else did.
+        """The thread of the program that should have woken this one, but waited for a CPU when something else woke it.
 
-        That something is a timeout (a timer that expires after the value was due) or a signal that stops the program.
+        Something else is a timeout (a timer that expires after the value was due) or a signal that stops the program.
         Candidates are the threads that woke this one before: they hand work over to it.
         """
         expires_ns = waker.expiry.soft_ns if waker.expiry else None
@@ -208,7 +209,8 @@ class _Walk:
         return None
 
     def _is_held_up(self, slept: StateChange | None, waker: Waker) -> bool:
-        """Whether a thread waited for what another one holds, or was held itself, rather than waiting for work."""
+        """Whether a thread waited for something that another one held, or was held itself, rather than waiting for
+        work."""
         if waker.held is not Why.UNKNOWN:
             return True
         if slept is None:
@@ -298,7 +300,7 @@ class _Walk:
         """The time for which a thread was stopped or frozen, latest first.
 
         The cause is the thread that sent the stopping signal, if one came after this thread's previous sleep began.
-        Otherwise it is the thread that let this one go on. The two may differ.
+        Otherwise it is the thread that released this one. The two may differ.
         """
         kind, by = (Kind.FROZEN if waker.held is Why.FROZEN else Kind.LET_GO_ON), (waker.pid, waker.name)
         if kind is Kind.LET_GO_ON and slept is not None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 
 class Context(StrEnum):
-    """What a CPU was in when it recorded an event."""
+    """What a CPU was executing when it recorded an event."""
 
     THREAD = "thread"
     SOFT = "softirq"
@@ -41,7 +41,7 @@ class Switch(NamedTuple):
 
 
 class Wake(NamedTuple):
-    """sched_waking; or, with `is_done`, sched_wakeup or sched_wakeup_new: only these have the CPU that was chosen."""
+    """sched_waking; or, with `is_done`, sched_wakeup or sched_wakeup_new, which alone name the chosen CPU."""
 
     at_ns: int
     cpu: int
@@ -82,7 +82,7 @@ class Raise(NamedTuple):
 
 
 class TimerStart(NamedTuple):
-    """hrtimer_start, in nanoseconds of the timer's own clock: may expire from `soft_ns` on, must at `hard_ns`.
+    """hrtimer_start: the timer may expire from `soft_ns` on and must at `hard_ns`, in nanoseconds of its own clock.
 
     `wakes` is the thread that sleeps until then; None for a timer that does something else.
     """
@@ -141,7 +141,7 @@ class Signal(NamedTuple):
 
 
 class Thaw(NamedTuple):
-    """cgroup_unfreeze: a thread lets the processes of a control group (version 2) go on."""
+    """cgroup_unfreeze: a thread lets the processes of a control group (version 2) run again."""
 
     at_ns: int
     cpu: int
@@ -175,7 +175,7 @@ class Callback(NamedTuple):
 
 
 class Lost(NamedTuple):
-    """Events of a CPU are missing before this moment; `missing` is None where the kernel does not know how many."""
+    """Events of a CPU are missing before this moment; `missing` is None if the kernel does not know how many."""
 
     at_ns: int
     cpu: int

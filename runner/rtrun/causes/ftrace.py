@@ -1,8 +1,7 @@
 """The reader of the kernel's trace text (tracefs `trace` and `snapshot`, Documentation/trace/ftrace.rst).
 
-Lines that are not understood are counted and left out: kernels differ, and a person may have enabled more events. The
-file may have any size: it is read in pieces, pieces before the wanted time are skipped, and the last `EVENTS_MAX`
-events are kept.
+Unknown lines are counted and left out: kernels differ, and a person may have enabled more events. The file may have any
+size: it is read in pieces, pieces before the wanted time are skipped, and the last `EVENTS_MAX` events are kept.
 """
 
 import re
@@ -100,7 +99,7 @@ _VECTOR_EVENTS = {
 class Trace:
     """The events between two moments, in the order of time, and the timers that were started before.
 
-    `not_read` counts lines that are no line of a trace.
+    `not_read` counts lines that do not belong to a trace.
     """
 
     events: tuple[Event, ...]
@@ -153,7 +152,7 @@ def read_ends(path: Path) -> tuple[int, int] | None:
 
 
 def has_lines(path: Path) -> bool:
-    """Whether a trace has more than its head: a line that is no comment."""
+    """Whether a trace has more than its head: a line that is not a comment."""
     with path.open("rb") as stream:
         return any(line.strip() and not line.startswith(b"#") for line in stream.read(PIECE_BYTES).split(b"\n"))
 
@@ -173,7 +172,7 @@ def _read(stream: BinaryIO, from_ns: int, until_ns: int) -> Trace:
 
 
 def _lines(stream: BinaryIO, from_ns: int, started: dict[str, TimerStart]) -> Iterator[str]:
-    """Yield the lines of a file, without the pieces that end before `from_ns`; keep the timer starts in those.
+    """Yield the lines of a file without the pieces that end before `from_ns`, but with the timer starts in these.
 
     A line that is longer than a piece is cut. Raises _NotInOrder.
     """

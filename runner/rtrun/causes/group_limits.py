@@ -1,4 +1,5 @@
-"""Parts of the time that a control group's limit took: a trace alone cannot tell that from the kernel's own limit."""
+"""Parts of the time that a control group's limit took. A trace alone cannot distinguish it from the kernel's own
+limit."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -14,7 +15,7 @@ IDLE_EXIT_MAX_NS = 1_000_000
 
 
 def with_groups(parts: Sequence[Part], record: RunRecord, prios: Mapping[int, int]) -> tuple[Part, ...]:
-    """The same parts; those that a limit took now name the control group and its limit.
+    """The same parts, with the control group and its limit named in those that a limit took.
 
     A group throttles a real-time thread if the group's limit is below the kernel's, and any other thread if cpu.stat
     counted it. `prios` are the priorities of threads.
@@ -39,7 +40,7 @@ def _with_group(part: Part, prio: int | None, rt_group: str, quota_group: str) -
     if part.cause.kind is Kind.THROTTLED and rt_group:
         return replace(part, cause=Cause(kind=Kind.GROUP, name=rt_group))
     is_normal = prio is not None and prio >= NORMAL_PRIO
-    # A CPU may have gone idle before its group was throttled. It then stays idle, and no event says why.
+    # A CPU may have become idle before its group was throttled. It then stays idle, and no event shows why.
     left_idle = part.cause.kind is Kind.IDLE_EXIT and part.length_ns > IDLE_EXIT_MAX_NS and part.state is State.WAITING
     if part.cause.kind is Kind.GROUP or (left_idle and is_normal and quota_group):
         return replace(part, cause=Cause(kind=Kind.GROUP, name=quota_group or part.cause.name))
@@ -53,7 +54,7 @@ def _groups(record: RunRecord) -> list[ControlGroup]:
 
 
 def _kernel_us(record: RunRecord) -> int:
-    """How many microseconds of a second the kernel leaves to real-time threads, as the sampler saw it; -1: all."""
+    """The microseconds of each second that the kernel leaves to real-time threads, as the sampler saw; -1: all."""
     seen = record.in_effect.sched_rt_runtime_us
     return KERNEL_RUNTIME_US if not seen else -1 if -1 in seen else max(seen)
 

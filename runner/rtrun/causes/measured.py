@@ -1,4 +1,4 @@
-"""The values of a run with the moments at which they were measured."""
+"""The values of a run with their times."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -43,5 +43,5 @@ def read_measured(folder: Path, record: RunRecord, measure: Measure | None = Non
 
 
 def traced_series(suite: str, parameters: Mapping[str, Value]) -> Measure:
-    """The series that is compared with the limit of a trace; for the cyclic timer, the one that was asked for."""
+    """The series that is compared with the limit of a trace; for the cyclic timer, the requested one."""
     return judged(measures(suite), JITTER if parameters.get(SERIES) == JITTER else None)

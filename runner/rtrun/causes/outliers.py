@@ -26,9 +26,9 @@ from rtrun.plan.suites import kind_of, suite
 from rtrun.results.output import NON_MEASURING_THREADS, Record
 from rtrun.results.record import RunRecord, check_file
 
-# How much is read after an outlier: the trace must show that the measuring thread went on.
+# How much is read after an outlier: the trace must show that the measuring thread continued.
 AFTER_NS = 10_000_000
-# How much is read before an outlier at least: of a thread that sleeps longer only the wake-up is seen.
+# How much is read before an outlier at least. If a thread slept for longer, only its wake-up is seen.
 BEFORE_NS = 50_000_000
 AROUND = 4
 HEAD_BYTES_MAX = 8192  #: the first line of a kernel trace, as read
@@ -73,10 +73,10 @@ class Outlier:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Explained:
-    """An outlier, the parts of its lateness, and what happened in windows of that length when nothing was late.
+    """An outlier, the parts of its lateness, and what happened in equally long windows when nothing was late.
 
-    `steps` are the nanoseconds of each step of a message; empty for a timer. `around` is what each CPU did, from
-    `AROUND` times the value before the due time until the outlier. `idle_ns` is how long each other CPU was idle while
+    `steps` are the nanoseconds of each step of a message; empty for a timer. `around` is what each CPU did until the
+    outlier; it begins `AROUND` times the value before the due time. `idle_ns` is how long each other CPU was idle while
     the measured thread waited for its own. `callbacks` are the earlier callbacks of the thread, in order. `limits` are
     the limits of the run's control groups, in words. Without parts, `note` gives the reason; with parts, it states what
     is wrong with the trace, or is empty.
@@ -128,7 +128,8 @@ def explain_run(folder: Path, record: RunRecord) -> Iterator[Explained]:
 
 @contextmanager
 def _without_garbage_collection() -> Iterator[None]:
-    """A trace's many tuples form no cycles: searching them again and again would take a tenth of the time."""
+    """Without garbage collection: a trace's many tuples form no cycles, and searching them for cycles takes a tenth of
+    the time."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -155,7 +156,7 @@ def _explain(
     place = bisect_left(trace.events, (outlier.due_ns,))
     if pid is None or place == len(trace.events) or trace.events[place].at_ns > outlier.at_ns:
         return Explained(outlier=outlier, control=Windows(), note=NOT_RECORDED)
-    # In a container threads are known by name alone, and publisher and subscriber use the same names.
+    # In a container threads are known only by name, and publisher and subscriber use the same names.
     known = pid in threads
     own = frozenset(threads) if known else _with_name(order, set(threads.values()))
     callbacks = _earlier_callbacks(outlier, order, pid, record)
@@ -204,7 +205,8 @@ def _earlier_callbacks(outlier: Outlier, order: Timeline, pid: int, record: RunR
 
 
 def _idle_elsewhere(order: Timeline, parts: Sequence[Part], pid: int) -> Mapping[int, int]:
-    """How long other CPUs were idle while a thread waited for its own: its affinity forbade a move, or none came."""
+    """How long other CPUs were idle while a thread waited for its own: its affinity forbade a move, or it was not
+    moved."""
     idle_ns: Counter[int] = Counter()
     for part in parts:
         if part.pid != pid or part.state is not State.WAITING:
@@ -228,7 +230,7 @@ def _what_is_missing(outlier: Outlier, order: Timeline, trace: Trace) -> str:
 
 
 def _why_none(path: Path, outlier: Outlier) -> str:
-    """Why a trace says nothing of an outlier."""
+    """Why a trace does not show an outlier."""
     ends = read_ends(path)
     if ends is None:
         return NO_TIMES if has_lines(path) else EMPTY
@@ -243,7 +245,7 @@ def _with_name(order: Timeline, names: set[str]) -> frozenset[int]:
 
 
 def _measured_thread(order: Timeline, at_ns: int, threads: Mapping[int, str]) -> int | None:
-    """The thread that had the value: a thread of the program that ran then, by id, or by name in a container.
+    """The thread that measured the value: a thread of the program that ran then, by id, or by name in a container.
 
     If several ran, it is the main thread, the first of `threads`. It measures everything except one-shots, for which it
     waits.
@@ -262,7 +264,7 @@ def _measured_thread(order: Timeline, at_ns: int, threads: Mapping[int, str]) ->
 
 
 def _threads(path: Path) -> dict[int, str]:
-    """The threads of the program that measure, or that work for a measuring thread."""
+    """The threads of the program that measure, or work for a measuring thread."""
     threads = read_json(path, Record).in_effect.threads
     return {thread.tid: thread.name for thread in threads if thread.name not in NON_MEASURING_THREADS}
 

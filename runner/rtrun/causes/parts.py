@@ -1,4 +1,4 @@
-"""What can take a part of the time between when a thread should have run and when it did."""
+"""The parts of the time between when a thread should have run and when it did, and what takes them."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -59,7 +59,7 @@ class Cause:
 class Part:
     """A piece of the time and what took it, from `begin_ns` to `end_ns` on the clock of the trace.
 
-    `pid` is the thread that is followed, and `state` what it does; None on the way from one thread to the next.
+    `pid` is the thread that is followed, and `state` what it does; None between one thread and the next.
     """
 
     begin_ns: int

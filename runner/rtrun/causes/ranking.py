@@ -1,4 +1,4 @@
-"""Culprits over all outliers: how often, how long, and how often they ran as long when nothing was late."""
+"""Culprits over all outliers: how often and how long they ran, and how often as long when nothing was late."""
 
 import re
 from collections import Counter, defaultdict
@@ -10,10 +10,10 @@ from rtrun.analysis.chance.intervals import chance_of_so_many
 from rtrun.causes.outliers import Explained
 from rtrun.causes.parts import NAMELESS, Cause, Kind, Part
 
-# These have the CPU when nothing is late, too: only their time beyond that counts.
+# These also have the CPU when nothing is late: only their time beyond that counts.
 _FREQUENT = frozenset({Kind.HIGHER, Kind.DEADLINE, Kind.EQUAL, Kind.SHARED, Kind.INTERRUPT, Kind.SOFTIRQ})
-# Who had the CPU while the kernel could not be interrupted or preempted may be innocent: the host may have stopped a
-# virtual machine. So it counts less, the more of the time it has the CPU anyway.
+# A thread that had the CPU while the kernel could not be interrupted or preempted may be innocent: the host may have
+# stopped a virtual machine. So it counts less the more of the time it has the CPU anyway.
 _CIRCUMSTANTIAL = frozenset({Kind.TIMER_LATE, Kind.NOT_PREEMPTED, Kind.CONSOLE})
 BY_CHANCE = 0.01
 
@@ -24,8 +24,8 @@ class Culprit:
 
     `name`, `pid`, `prio` and `above` are those of the thread that took longest. `threads` counts the threads of that
     name, `alike` the threads whose names differ from it only in numbers. `main` counts the outliers of which it took
-    more than half. `extra_ns` is its time beyond what it took in windows of the same length when nothing was late. In
-    `as_long` of these `windows` it had the same CPU for at least half as long as in the outlier.
+    more than half. `extra_ns` is its time beyond that in windows of the same length when nothing was late. In `as_long`
+    of these `windows` it had the same CPU for at least half as long as in the outlier.
     """
 
     kind: Kind
@@ -75,7 +75,7 @@ class Ranking:
         return None if most is None or 2 * self.main_by_kind[most] < max(1, self.outliers) else most
 
     def is_by_chance(self, culprit: Culprit) -> bool:
-        """Whether a culprit may have had the CPU just as often if it had nothing to do with the outliers.
+        """Whether a culprit may have had the CPU this often without having caused the outliers.
 
         With one outlier that is always possible. With more, their number is binomial with the culprit's share of the
         time when nothing is late.
@@ -118,7 +118,8 @@ _Identity = tuple[Kind, str]
 
 
 def _identity(cause: Cause) -> _Identity:
-    """What makes one culprit: threads of one name, since a script may start the same program again and again.
+    """The identity of a culprit: threads of one name count as one, since a script may start the same program again and
+    again.
 
     While real-time threads are throttled, it does not matter which thread was chosen.
     """
@@ -128,8 +129,8 @@ def _identity(cause: Cause) -> _Identity:
 def _alike(cut: Iterable[Explained]) -> Mapping[_Identity, _Identity]:
     """The common name of threads that are one culprit under several names, by kind and name.
 
-    These are kernel workers, and processes with a number in the name if each outlier has a different one: those are
-    started anew for each job. Other names with numbers belong to different things, such as the threads of two devices.
+    These are kernel workers, and processes with a number in the name if each outlier has a different one: a new process
+    is started for each job. Other names with numbers belong to different things, such as the threads of two devices.
     """
     seen: dict[_Identity, list[tuple[int, str, int]]] = defaultdict(list)
     for number, case in enumerate(cut):

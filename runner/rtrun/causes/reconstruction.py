@@ -1,4 +1,4 @@
-"""From the events of a trace to its timeline, one event at a time."""
+"""Builds the timeline of a trace from its events, one at a time."""
 
 from collections import defaultdict
 from collections.abc import Iterable
@@ -39,10 +39,10 @@ _CONTINUING = 18
 SIGNALLED_WITHIN_NS = 100_000
 _STOPPING = frozenset({19, 20, 21, 22})
 # Recording may be paused while a trace is copied. Only a thread that runs without having been woken proves such a
-# pause: idle CPUs may have no events for as long.
+# pause: idle CPUs may have no events for the same time.
 PAUSED_NS = 10_000_000
 
-# Timers after which threads that used up their time may run again (kernel/sched/rt.c, fair.c).
+# Timers that let threads run again after these used up their time (kernel/sched/rt.c, fair.c).
 _RT_REFILLING = frozenset({"sched_rt_period_timer"})
 _REFILLING = _RT_REFILLING | {"sched_cfs_period_timer", "sched_cfs_slack_timer"}
 
@@ -87,21 +87,22 @@ class _Cpu:
         return soft[-1] if soft else None
 
     def close(self, at_ns: int) -> None:
-        """End the span of whoever has the CPU."""
+        """End the current span of the CPU."""
         if at_ns > self.since_ns:
             layer = self.layer()
             self.spans.append(Span(self.since_ns, at_ns, layer.occupant if layer else self.thread))
             self.since_ns = at_ns
 
     def name_what_ran(self, pid: int, name: str) -> None:
-        """Give a thread the name that it has when it leaves the CPU: a new process first has its parent's name."""
+        """Give a thread the name that it has when it leaves the CPU, because a new process first has its parent's
+        name."""
         for place in range(self.first_of_thread, len(self.spans)):
             span = self.spans[place]
             if span.occupant is not None and span.occupant.context is Context.THREAD and span.occupant.pid == pid:
                 self.spans[place] = span._replace(occupant=span.occupant._replace(name=name))
 
     def forget_idle(self, from_ns: int) -> None:
-        """Forget that the CPU was idle from a moment on: it may have done something else."""
+        """From a moment on, forget that the CPU was idle: it may have done something else."""
         spans = self.spans[self.first_of_thread :]
         del self.spans[self.first_of_thread :]
         for span in spans:
@@ -114,7 +115,7 @@ class _Cpu:
             self.spans.append(Span(max(span.begin_ns, from_ns), span.end_ns, None))
 
     def note_late(self, start: TimerStart) -> None:
-        """Record how long an expiring timer had waited for its interrupt."""
+        """Record for how long an expiring timer had waited for its interrupt."""
         begin_ns = max(start.hard_ns + self.offset_ns, start.at_ns)
         if self.hard and begin_ns < self.hard[-1].began_ns:
             self.late_ns.append((begin_ns, self.hard[-1].began_ns))
@@ -149,7 +150,7 @@ class _Builder:
         self.stops: list[Signal] = []
         self.refills_ns: dict[bool, list[int]] = defaultdict(list)
         self.callbacks: dict[int, list[Callback]] = defaultdict(list)
-        # Until a thread sleeps: whom it woke, and whether it let a control group go on.
+        # Until a thread sleeps: whom it woke, and whether it unfroze a control group.
         self.woke: dict[int, list[int]] = defaultdict(list)
         self.thawing: set[int] = set()
         # Threads that slept on after their timer had expired, and when that was.
@@ -200,7 +201,8 @@ class _Builder:
         cpu.last_ns = event.at_ns
 
     def _is_waiting(self, pid: int) -> bool:
-        """Whether a thread was woken and not seen to run since; else this may be its last line on the CPU."""
+        """Whether a thread was woken and has not been seen to run since; otherwise this may be its last line on the
+        CPU."""
         changes = self.threads.get(pid, [])
         return bool(changes) and changes[-1].state is State.WAITING
 
@@ -287,7 +289,7 @@ class _Builder:
             if changes is None:
                 self.not_woken.add(next_pid)
             elif changes[-1].state is State.ASLEEP and changes[-1].at_ns < self.resumed_ns:
-                # It was woken while nothing was recorded: it could run when recording went on, if not before.
+                # It was woken while nothing was recorded: it could run when recording continued, if not before.
                 changes.append(StateChange(self.resumed_ns, State.WAITING, number))
             self.threads[next_pid].append(StateChange(at_ns, State.RUNNING, number))
 
@@ -347,7 +349,7 @@ class _Builder:
         return Waker(event.cpu, event.by_pid, context, name, layer.began_ns, expiry, layer.raised)
 
     def _held(self, cpu: _Cpu, event: Wake, waker: Waker) -> Waker:
-        """The waker, marked if it let a stopped or frozen thread go on: the way back does not follow such a waker."""
+        """The waker, marked if it released a stopped or frozen thread: the way back does not follow such a waker."""
         slept = self.threads[event.pid][-1] if self.threads[event.pid] else None
         if slept is not None and slept.why is Why.STOPPED:
             return waker._replace(held=Why.STOPPED)
@@ -363,9 +365,9 @@ class _Builder:
         return waker if is_timer else waker._replace(held=Why.FROZEN, held_ns=expired_ns)
 
     def _signal(self, event: Signal) -> None:
-        """Mark the threads that a signal woke, to be stopped or to go on: their wake-ups are recorded before it.
+        """Mark the threads that a signal woke to stop or to continue: their wake-ups are recorded before it.
 
-        A thread that goes on may have been stopped before the trace began.
+        A thread that continues may have been stopped before the trace began.
         """
         if event.number in _STOPPING:
             self.stops.append(event)
@@ -381,7 +383,7 @@ class _Builder:
                     self.threads[pid][0] = first._replace(waker=first.waker._replace(held=Why.STOPPED))
 
     def _queue(self, pid: int, at_ns: int, cpu: int) -> None:
-        """Let a waiting thread wait on another CPU from now on."""
+        """Move a waiting thread to another CPU's queue from now on."""
         changes = self.threads.get(pid)
         if changes and changes[-1].state is State.WAITING and changes[-1].cpu != cpu:
             changes.append(StateChange(at_ns, State.WAITING, cpu))
@@ -401,7 +403,7 @@ class _Builder:
     def wait_from_the_begin(self) -> None:
         """Let threads that ran without a recorded wake-up wait from the begin of the trace on.
 
-        The trace has begun when every CPU has begun, since any CPU may have woken them, and after the last lost event.
+        The trace begins when every CPU has begun, since any CPU may have woken them, and after the last lost event.
         """
         begins_ns = [cpu.spans[0].begin_ns if cpu.spans else cpu.since_ns for cpu in self.cpus.values()]
         for pid in self.not_woken:

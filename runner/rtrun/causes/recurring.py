@@ -35,7 +35,7 @@ def recurring(folder: Path, record: RunRecord, measure: Measure | None = None) -
         highest = _highest(measured.values_ns, max(counts_tried(measured.values_ns.size)))
         in_time = _search(measured.times_ns, highest)
         in_loops = _search(measured.index, highest)
-        # If both fit, as with a fixed period, people look for the time.
+        # If both fit, as with a fixed period, the time is what people search for.
         is_loops = in_loops is not None and (in_time is None or in_loops.p_value < CLEARLY * in_time.p_value)
         best = in_loops if is_loops else in_time
         if best is not None:

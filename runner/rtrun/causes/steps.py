@@ -1,8 +1,8 @@
 """Where a message spent its time: the parts of its latency by the steps between two programs.
 
 A publisher hands a message to a thread that writes it into the transport. A thread of the subscriber reads it and
-queues it for the thread that calls back. roscpp works so (`TopicManager::publish`, `PollManager`,
-`Subscription::handleMessage`, `CallbackQueue`). In a middleware without such a thread its step takes no time.
+queues it for the thread that calls back. This is how roscpp works (`TopicManager::publish`, `PollManager`,
+`Subscription::handleMessage`, `CallbackQueue`). In a middleware without one of these threads, its step takes no time.
 """
 
 from collections import Counter

@@ -1,4 +1,4 @@
-"""What else was unusual on the target when the highest values came: a run compared with its sampler's record."""
+"""What else was unusual on the target when the highest values came: compares a run with its sampler's record."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -69,7 +69,7 @@ def find_unusual(folder: Path, record: RunRecord, measure: Measure | None = None
 
 
 def _bounds_s(folder: Path, record: RunRecord) -> tuple[float, float] | None:
-    """The times since the boot before and after the run; None if they are not known."""
+    """The uptimes before and after the run; None if they are not known."""
     states = read_states(folder, record)
     if states is None:
         return None
@@ -82,8 +82,8 @@ def _intervals(
 ) -> tuple[list[Observation], Floats]:
     """The observations from the first value to the last, and the highest value between each and the next.
 
-    Observations have the time since the boot, samples that of a clock that NTP does not discipline. The difference of
-    the two clocks is taken to be 0, or as near to 0 as the times before and after the run allow.
+    Observations have uptimes, samples the time of a clock that NTP does not discipline. The difference of the two
+    clocks is assumed to be 0, or as near to 0 as the times before and after the run allow.
     """
     first_s, last_s = float(measured.times_ns.min()) / 1e9, float(measured.times_ns.max()) / 1e9
     offset_s = 0.0

@@ -1,4 +1,4 @@
-"""A trace in order: what each CPU did at each moment, and what became of each thread."""
+"""A trace in order: what each CPU did at each moment, and the states of each thread."""
 
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,7 +27,7 @@ class Occupant(NamedTuple):
 
 
 class Span(NamedTuple):
-    """Who had a CPU, and from when to when; `occupant` is None where events were lost."""
+    """Who had a CPU, and from when to when; `occupant` is None if events were lost."""
 
     begin_ns: int
     end_ns: int
@@ -43,7 +43,7 @@ class State(Enum):
 
 
 class Why(Enum):
-    """What a thread that fell asleep waits for, if that can be seen."""
+    """What a sleeping thread waits for, if events show that."""
 
     UNKNOWN = auto()
     LOCK = auto()
@@ -64,8 +64,8 @@ class Expiry(NamedTuple):
 class Waker(NamedTuple):
     """What woke a thread: a thread, an interrupt or a softirq, which began at `began_ns`.
 
-    `held` is STOPPED or FROZEN if the thread was let go on rather than woken; `held_ns`, if known, is when it would
-    have woken otherwise. `stops`: it was woken to be stopped, so nobody handed work over.
+    `held` is STOPPED or FROZEN if the thread was released rather than woken; `held_ns`, if known, is when it would have
+    woken otherwise. `stops`: it was woken to be stopped, not to get work.
     """
 
     cpu: int
@@ -136,11 +136,11 @@ class Timeline:
             begin_ns = span.end_ns
 
     def place(self, pid: int, at_ns: int) -> int:
-        """The place of the last change of a thread up to a moment; -1 where the trace begins later."""
+        """The place of the last change of a thread up to a moment; -1 if the trace begins later."""
         return bisect_left(self.threads.get(pid, ()), (at_ns + 1,)) - 1
 
     def running(self, pid: int, at_ns: int) -> int:
-        """The place of the change by which a thread ran at a moment: changes may share a time stamp of 1 us."""
+        """The place of the change that made a thread run at a moment: several changes may have the same microsecond."""
         changes, place = self.threads.get(pid, ()), self.place(pid, at_ns)
         while place > 0 and changes[place].at_ns == at_ns and changes[place].state is not State.RUNNING:
             place -= 1

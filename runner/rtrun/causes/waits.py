@@ -1,4 +1,4 @@
-"""Whom a thread that could run had to wait for, and why."""
+"""For whom a runnable thread had to wait, and why."""
 
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ EVENTS_MISSING = "events are missing"
 GIVEN_THE_CPU = frozenset({Kind.SHARED, Kind.EQUAL, Kind.NOT_PREEMPTED, Kind.IDLE_EXIT, Kind.THROTTLED})
 # A throttled thread runs this soon after it has time again, unless another one comes first.
 REFILLED_WITHIN_NS = 500_000
-# Without a real-time priority it may have to wait for a tick, and for other waiting threads. Mere sharing may by chance
-# end as soon after a refill. So this limit applies only if a quota was used up, and if the thread had waited `LONGER`
-# times as long before the refill as after it.
+# Without a real-time priority it may have to wait for a tick, and for other waiting threads. But mere sharing of the
+# CPU may by chance end as soon after a refill. So this limit applies only if a quota was used up, and if the thread had
+# waited `LONGER` times as long before the refill as after it.
 REFILLED_AT_TICK_NS, LONGER = 4_500_000, 3
 
 
@@ -38,7 +38,8 @@ class CpuWaits:
         return Cause(kind=kind, name=name, pid=pid, prio=self.timeline.prios.get(pid))
 
     def refilled_ns(self, prio: int | None, cpu: int, begin_ns: int, end_ns: int) -> int:
-        """Until when a waiting thread was throttled: it got the CPU as soon as it had time again. 0 if it was not."""
+        """Until when a waiting thread was throttled; 0 if it was not. A throttled thread gets the CPU as soon as it has
+        time again."""
         is_real_time = prio is not None and prio < NORMAL_PRIO
         times = self.timeline.refills_ns.get(is_real_time, ())
         place = bisect_right(times, end_ns) - 1
@@ -54,7 +55,7 @@ class CpuWaits:
         return times[place] if len(ran - self.own) <= 1 else 0
 
     def who_had(self, span: Span, pid: int, prio: int | None, since_ns: int) -> Cause:
-        """Why a thread that could run had to wait for the one that has the CPU."""
+        """Why a runnable thread had to wait for the one that has the CPU."""
         who = span.occupant
         if who is None or who.context is not Context.THREAD:
             return of_no_thread(who)
@@ -84,12 +85,12 @@ class CpuWaits:
         return Cause(kind=kind, name=who.name, pid=who.pid, prio=other, above=above)
 
     def _was_chosen(self, pid: int, begin_ns: int, end_ns: int) -> bool:
-        """Whether a thread that has the CPU at the end of a period was given it within that period."""
+        """Whether a thread that has the CPU at the end of a period got it within that period."""
         place = self.timeline.running(pid, end_ns - 1)
         return place >= 0 and begin_ns < self.timeline.threads[pid][place].at_ns
 
     def _printed(self, pid: int, at_ns: int) -> bool:
-        """Whether a thread printed to the console since it was given the CPU that it has at a moment.
+        """Whether a thread has printed to the console since it got the CPU that it has at a moment.
 
         A kernel without PREEMPT_RT writes to the console at once, with interrupts or preemption off.
         """
@@ -101,7 +102,8 @@ class CpuWaits:
     def while_late(self, span: Span, pid: int) -> Cause:
         """What a CPU did while a timer's interrupt was late, which then woke the thread `pid`.
 
-        A thread of higher priority kept `pid` from running anyway: with interrupts off, as stop_machine, or not.
+        A thread of higher priority kept `pid` from running in any case, with interrupts off (as stop_machine does) or
+        not.
         """
         who = span.occupant
         if who is None or who.context is not Context.THREAD:
@@ -117,7 +119,7 @@ class CpuWaits:
 
 
 def _above(prio: int, of_waiting: int) -> Kind | None:
-    """Why a thread comes before a waiting one; None if it does not.
+    """Why a thread has precedence over a waiting one; None if it does not.
 
     Two threads without a real-time priority share the CPU, whatever their nice values.
     """
