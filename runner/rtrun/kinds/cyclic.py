@@ -17,7 +17,7 @@ LATENESS, JITTER, GRID = "lateness", "jitter", "grid"
 _NTP_DRIFT = 5e-4
 # This many calls in a row are never all interrupted between their two stamps.
 _FEW_CALLS = 16
-_LEAST_STEP_NS = 1_000_000  # NTP steps a clock by more, and slews it by less
+_LEAST_STEP_NS = 1_000_000  # by more, NTP steps a clock; by less, it slews it
 
 
 def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
@@ -37,7 +37,7 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
 
 
 def _lateness(columns: Columns, stated: Stated, path: Path, period_ns: int) -> IndexedValues:
-    """How late each call is on the grid that the middleware keeps; skipped periods are absent.
+    """How late each call is on the grid of the middleware; skipped periods are absent.
 
     roscpp moves its grid when it is two periods behind, rcl when it is one. The whole periods of such a move count as
     skipped, the rest as lateness of the call there. So a move of the grid hides nothing.
@@ -66,10 +66,11 @@ def _lateness(columns: Columns, stated: Stated, path: Path, period_ns: int) -> I
 
 
 def _clock_was_set(offset: Int64s, period_ns: int) -> str:
-    """Why calls are neither late nor in time: the timer's grid jumped with the wall clock. Empty if it did not.
+    """Why calls cannot be judged as late or in time: the timer's grid jumped with the wall clock. Empty if it did not.
 
-    `offset`, int64 (n,), is the wall clock minus the clock of the timestamps; a little less if a thread was interrupted
-    between the two stamps of a call. So its highest value among a few calls shows whether one of the clocks was set.
+    `offset`, int64 (n,), is the wall clock minus the clock of the timestamps; slightly lower if a thread was
+    interrupted between the two stamps of a call. So its highest value among a few calls shows whether one of the clocks
+    was set.
     """
     if not offset.size:
         return ""

@@ -1,4 +1,4 @@
-"""What tells one kind of measurement from another."""
+"""What distinguishes one kind of measurement from another."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -14,9 +14,9 @@ from rtrun.kinds.values import IndexedValues, Int64s
 class LogForm:
     """The logs that a suite wrote in 2014 and still writes: gnuplot scripts with the data in them.
 
-    `main` is the series that the suite was about in 2014. `summary` is the line with the number of values that were
-    asked for. `series` has the series of a log by the end of its name, `labels` those of its lines of figures by how
-    the lines begin. `missing_as_value`: the log has a missing message as a value of -1 us.
+    `main` is the suite's series in 2014. `summary` is the line with the requested number of values. `series` has the
+    series of a log by the end of its name, `labels` those of its lines of figures by how the lines begin.
+    `missing_as_value`: the log has a missing message as a value of -1 us.
     """
 
     suite: str
@@ -36,15 +36,15 @@ class StreamKind:
 
     With `narrowed_by`, another parameter, a deadline may name a stream by both: NAME/THREAD.
 
-    `words` are templates of what tells a stream from others; a template is left out if the stream lacks one of its
-    parameters. `begins_with` is a parameter that begins with what the stream is, and is used instead of the word.
-    `hidden` are parameters that the words show in another way, `usual` are values that go without saying.
+    `words` are templates that distinguish a stream from others; a template is left out if the stream lacks one of its
+    parameters. `begins_with` is a parameter whose value says what the stream is, and replaces the word. `hidden` are
+    parameters that the words show in another way, `usual` are values that need not be shown.
 
     `at` is the column with the time at which a value was there, `index` the column that numbers the values; empty: the
     row does. With `is_between_rows`, a value lies between two rows of one segment. `filled` are columns that may be
     missing, each with a number or another column instead. `has_period`: its samples need the period.
 
-    `overdue` is a sentence about a value that had not come at the end, with the time since.
+    `overdue` is a sentence about a value that had not come at the end, with the time for which it was awaited.
 
     `is_shown`: it is shown while observed, even without a deadline. `is_traced`: its late values can have a trace.
     `is_of_topologies`: only the nodes of a topology can report it, since they write down when they were due.
@@ -109,13 +109,13 @@ class MeasurementKind:
 
     `subject` follows the name of a series and states what its values belong to: "of the timer".
 
-    `startup` has, by series, the number of loops at the start of a run whose values stand apart, as in the thesis.
-    `clustered` are the series that may have a cluster of negative values, with their names in a report.
-    `layer_below` is the baseline, or the kind, that measures the layer below this kind.
+    `startup` has, by series, the number of loops at the start of a run whose values are separated, as in the thesis.
+    `clustered` are the series that may have a cluster of negative values, with their names in a report. `layer_below`
+    is the baseline, or the kind, that measures the layer below this kind.
 
     `logs` is the form of its logs of 2014; None: there were none. `stream` is how it is observed; None: it is not.
-    `has_steps`: a value travels between two programs, and its steps can be found (causes/steps.py).
-    `is_of_callbacks`: the measured thing is itself a callback, so no earlier callback is a cause.
+    `has_steps`: a value passes between two programs, and its steps can be found (causes/steps.py). `is_of_callbacks`:
+    the measured thing is itself a callback, so no earlier callback is a cause.
     """
 
     series: Callable[[Columns, Stated, Path], dict[str, IndexedValues]]

@@ -34,7 +34,7 @@ CLUSTERED = {series: words for kind in KINDS.values() for series, words in kind.
 
 
 def startup_loops(series: str) -> int:
-    """The number of loops at the start of a run whose values of a series stand apart."""
+    """The number of loops at the start of a run whose values of a series are separated as start-up."""
     return next((kind.startup[series] for kind in KINDS.values() if series in kind.startup), 0)
 
 

@@ -2,7 +2,7 @@
 
 A value above its deadline is late; a value equal to it is in time. A missing value is a miss, too: a message that never
 came, a period that was skipped, a timer that did not fire, a call that never ended. A value that had not come at the
-end is a miss as soon as it was open for longer than the deadline.
+end is a miss once it has been open for longer than the deadline.
 """
 
 from collections.abc import Sequence

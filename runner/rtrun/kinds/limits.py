@@ -1,7 +1,7 @@
 """The bounds of numbers in files and in answers of a target: a type for each quantity, for its writers and readers.
 
-If the kernel has a bound, that is used. The others lie far above what is measured, and low enough that what is computed
-from such numbers fits into 64 bits. The bounds of a suite's options are in suites.yml.
+If the kernel has a bound, that is used. The other bounds lie far above what is measured, and low enough that results of
+computing with such numbers fit into 64 bits. The bounds of a suite's options are in suites.yml.
 """
 
 from typing import Annotated, TypeVar
@@ -12,7 +12,7 @@ from rtfiles.untrusted import INT64_MAX
 
 # 31 years. A series is the sum of four times at most, and the difference of two of its values still fits into 64 bits.
 TIME_MAX_NS = 10**18
-# ros::Time counts seconds since 1970 in 32 bits. What the wall clock says is never summed up, only subtracted.
+# ros::Time counts seconds since 1970 in 32 bits. Times of the wall clock are never added up, only subtracted.
 WALL_TIME_MAX_NS = 2**32 * 10**9
 UPTIME_MAX_S = TIME_MAX_NS // 10**9
 # A measurement every 100 us for three years.

@@ -32,7 +32,7 @@ def _series(columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedVa
             f"{disagree(path)}: seq: {len(arrived) - len(seq)} numbers stand in the rows again, which hold each once"
         )
     agree(path, "measured", len(seq), stated.measured)
-    # A subscriber that did not see the last message knows only the gaps between the messages that came.
+    # A subscriber that did not get the last message knows only the gaps between the messages that came.
     missing = range(last + 1 - len(seq), stated.asked - len(seq) + 1)
     if stated.missing not in (missing[-1:] if stated.is_complete else missing):
         agree(path, "missing", missing[-1], stated.missing)

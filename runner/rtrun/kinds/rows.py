@@ -16,7 +16,7 @@ Columns = Mapping[str, Int64s]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stated:
-    """What the json next to the samples states about them: how many were asked for, and what became of them.
+    """What the json next to the samples states about them: how many were requested, and what became of them.
 
     `skipped` counts periods in which nothing came, None if that is not stated; `requested` are the parameters.
     """
@@ -76,7 +76,7 @@ def within_segments(segment: Int64s | None, rows: int) -> NDArray[np.bool_]:
 
 
 def not_come(stated: Stated, measured: int, rows: int, what: str, path: Path) -> Int64s:
-    """The number of the value that was overdue when the observation ended, if there is one: int64, (0,) or (1,).
+    """The index of the value that was overdue when the observation ended, if there is one: int64, (0,) or (1,).
 
     Raises UsageError, with `what` as the name of such values, if there is more than one.
     """
