@@ -118,7 +118,7 @@ class Campaign(Config):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variant:
-    """What a variant has of its own: a folder of suites here, and a shell file on the target that sets up ROS."""
+    """The own parts of a variant: a folder of suites here, and a shell file on the target that sets up ROS."""
 
     suites: Path | None = None
     ros_setup: str | None = None
@@ -149,7 +149,7 @@ def variants_of(campaign: Campaign, folder: Path) -> dict[str, Variant]:
 
 
 def plan(campaign: Campaign, origin: Place | str, topology: Topology | None = None) -> tuple[Run, ...]:
-    """Return the runs in their order; `topology` comes from the file that the campaign names.
+    """Return the runs in order; `topology` comes from the file that the campaign names.
 
     Raises UsageError ``origin:7: runs.0.key: what is wrong, what is allowed``.
     """

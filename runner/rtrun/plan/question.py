@@ -1,4 +1,4 @@
-"""The question to answer: which values, which deadline, how seldom it is missed, and with which confidence."""
+"""The question to answer: which values, which deadline, how often it may be missed, and with which confidence."""
 
 import math
 import re
@@ -24,7 +24,7 @@ _TOLERANCE = re.compile(r"([0-9]{1,4}) (?:in a row|of ([0-9]{1,4}))", re.ASCII)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tolerance:
-    """How many values may be late before it counts: at most `misses` among any `among` consecutive loops.
+    """How many misses are tolerated: at most `misses` among any `among` consecutive loops.
 
     Each window of `among` loops with more misses is then counted once, at its end. N misses in a row means N of N + 1.
     """
@@ -34,11 +34,12 @@ class Tolerance:
 
     @property
     def overlap(self) -> int:
-        """How many counted windows the fewest consecutive misses that count make: these windows count as one."""
+        """The number of windows that the shortest counted series of misses makes: these windows count as one."""
         return self.among - self.misses
 
     def is_within(self, other: "Tolerance") -> bool:
-        """Whether the other one tolerates whatever this one does, even the most misses within one of its windows."""
+        """Whether the other one tolerates everything that this one does, even the most misses within one of its
+        windows."""
         whole, rest = divmod(other.among, self.among)
         return whole * self.misses + min(self.misses, rest) <= other.misses
 
@@ -72,7 +73,7 @@ def read_bursts(text: str) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """Is P(miss) of this deadline below `probability`, at this confidence, on at least so many boots?
+    """Is P(miss) of this deadline below `probability`, at this confidence, on at least `boots` boots?
 
     `of` are the values that have the deadline; None: whatever the suite measures, for the cyclic timer the lateness. In
     the question of a verdict, `of` is what was judged, `latency` included. A proof has to cover bursts of misses of the
@@ -154,7 +155,7 @@ def _late_in_a_stall(tolerance: Tolerance, period_ns: float) -> int:
 
 
 def may_follow(first: Question, later: Question) -> bool:
-    """Whether a goal may become another one after answers were seen, without measuring anew.
+    """Whether a goal may be replaced by another one after answers were seen, without measuring anew.
 
     The interval is about P(miss) of one deadline, and holds for every probability at once. Choosing both deadline and
     probability after seeing results finds a pair that is proven wrongly in a third of all cases. The same goes for
@@ -164,7 +165,7 @@ def may_follow(first: Question, later: Question) -> bool:
 
 
 def weaker(goal: Question, asked: Question, bursts_by_default: int = 1) -> tuple[str, ...]:
-    """In which points a question asks less than a goal, or something else; a few words for each.
+    """The points in which a question is weaker than a goal, or differs from it; a few words for each.
 
     `bursts_by_default` is the length of bursts that a proof has to cover if none is set, for the measured runs.
     """
@@ -192,7 +193,7 @@ THESIS = Question(deadline_ns=400_000)
 
 
 def unlike_share(boots: int, confidence: float) -> float:
-    """The largest share that boots of another kind may have if this many boots were all not of it, at this confidence.
+    """The largest share that boots of another kind may have if none of this many boots was of it, at this confidence.
 
     If a kind has the share s, the chance that m boots all miss it is (1 - s)^m. The s for which this chance is
     (1 - confidence) / 2 is the upper end of the interval of Clopper & Pearson (1934) after no event.

@@ -16,7 +16,7 @@ PRIORITY = suites.options()["priority"].default
 PERIOD_US = 1000
 # Shorter runs tell nothing about events that come once a second.
 LEAST_S = 1
-# What programs are measured through if nothing is named: the first of these that a target has programs for.
+# The default middleware: the first of these for which a target has programs.
 CHOICES = (("roscpp",), ("rcl",), ("futex", "unix", "tcp", "udp"))
 # The kinds in the order in which they are measured: wake-ups first, messages last.
 _ORDER = ("cyclic", "oneshot", "messages")
@@ -34,7 +34,7 @@ def measurable(programs: Mapping[str, str], middleware: str) -> list[str]:
 
 
 def middlewares(programs: Mapping[str, str]) -> tuple[str, ...]:
-    """The middlewares that a target is measured through if none is named; the first choice if it has no programs."""
+    """The middlewares through which a target is measured if none is named; the first choice if it has no programs."""
     found = (tuple(name for name in choice if measurable(programs, name)) for choice in CHOICES)
     return next(filter(None, found), CHOICES[0])
 

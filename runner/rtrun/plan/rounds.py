@@ -47,7 +47,7 @@ def rounds_for(group: Run, measurements: int) -> int:
 
 
 def rounds_of_boot(groups: Sequence[Run], measurements: Mapping[str, int], boots: int) -> int:
-    """How many rounds to measure on one boot, so that these measurements of each group take this many boots.
+    """How many rounds to measure on one boot, so that these measurements of each group are spread over this many boots.
 
     At least 1: if fewer rounds than boots would do, each round has a boot of its own. The same goes if it is not known
     how much a run will observe.

@@ -1,6 +1,6 @@
 """One planned run: what is measured, how long that takes, what it is called.
 
-For several runs: their order, which are measured together, and the digest that identifies them.
+For several runs: their order, the blocks that are measured together, and the digest that identifies the runs.
 """
 
 import hashlib
@@ -126,7 +126,7 @@ def interleave(runs: Iterable[Run], seed: int) -> tuple[Run, ...]:
 
 
 def _measured(run: Run) -> str:
-    """A text of what a run measures, the same in each of its repeats."""
+    """A text that describes what a run measures, the same for all its repeats."""
     return repr(replace(run, name="", repeat=1, seed=None))
 
 
@@ -204,7 +204,7 @@ def _without_defaults(values: Mapping[str, suites.Value], defaults: Mapping[str,
 
 
 def idle_twice(run: Run) -> str | None:
-    """Say why the idle states of a run are not as it asks for, or None."""
+    """Why the idle states of a run would not be as it asks for, or None."""
     state, awake_us = (run.parameters.get(key) for key in ("deepest_idle_state", "cpu_dma_latency_us"))
     if state is None or awake_us is None:
         return None
@@ -238,7 +238,7 @@ def never_observed(run: Run) -> str | None:
 
 
 def label(run: Run) -> str:
-    """The part of a run's name that tells it from the others of its campaign."""
+    """The part of a run's name that distinguishes it from others of its campaign."""
     subscribers = run.parameters.get("subscribers")
     words = [suites.output_name(run.suite, run.parameters), *([f"{subscribers}sub"] if subscribers else [])]
     if isinstance(run.subject, TopologyPlan):

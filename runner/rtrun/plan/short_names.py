@@ -1,4 +1,4 @@
-"""Names for the eye: what is measured, and the parameters that tell it from its neighbours."""
+"""Short names to display: what is measured, and the parameters that distinguish it from its neighbours."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +13,7 @@ _TELLING = ("policy", "timeout_us", "frequency_hz", "payload_bytes", "subscriber
 
 
 def tell_apart(all_words: Sequence[tuple[str, Mapping[str, Value]]]) -> list[str]:
-    """Name each of them by what is measured, and those of its parameters that differ among the ones alike."""
+    """Name each of them by what is measured, and by those parameters that differ among ones that measure the same."""
     alike: dict[str, list[Mapping[str, Value]]] = {}
     for what, parameters in all_words:
         alike.setdefault(what, []).append(parameters)

@@ -239,7 +239,7 @@ def options() -> dict[str, Option]:
 
 
 def find_suite(name: str) -> Suite | None:
-    """The suite or baseline of this name, or what is observed; None for one that is not known."""
+    """The suite, baseline or observed kind of this name; None for an unknown name."""
     # Only the files that are needed to find the name are read.
     return next((load().suites[name] for load in (suites, baselines, observed) if name in load().suites), None)
 
@@ -257,7 +257,7 @@ def in_words(name: str, series: str) -> str:
 
 
 def suite(name: str) -> Suite:
-    """The suite or baseline of this name, or what is observed. Raises UsageError that lists the known ones."""
+    """The suite, baseline or observed kind of this name. Raises UsageError that lists the known ones."""
     if known := find_suite(name):
         return known
     raise UsageError(unknown("suite", name, known=described_suites()))
@@ -470,7 +470,7 @@ def period_of(parameters: Mapping[str, Value]) -> float | None:
 
 
 def telling_parameters(parameters: Mapping[str, Value]) -> dict[str, Value]:
-    """The parameters that tell what was measured: runs with the same ones are alike.
+    """The parameters that determine what was measured: runs with equal ones are alike.
 
     An option that was not given is left out, because records from before it was added do not have it.
     """

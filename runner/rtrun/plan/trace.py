@@ -1,4 +1,4 @@
-"""For which values of a run the kernel's trace is kept: `trace` of a campaign, and the additional runs that it needs.
+"""Which values of a run get a kernel trace: `trace` of a campaign, and the additional runs that it needs.
 
 A traced run has a twin without traces, which shows what tracing costs; the two alternate. If the limit is a quantile, a
 short warm-up before the run finds it. The warm-up records the same events, so its values are those of a traced run.
@@ -87,7 +87,8 @@ def with_warm_ups(runs: Iterable[Run]) -> Iterator[Run]:
 
 
 def _warm_up(run: Run) -> Run:
-    """A short run that records like a traced one but keeps no trace; as long as the run if a shorter one is invalid."""
+    """A short run that records like a traced one but keeps no trace; as long as the run if a shorter one would be
+    invalid."""
     number = min(_repetitions(run), math.ceil(VALUES_ABOVE / _above(run)))
     alike = replace(with_threshold(run, options()[PARAMETER].max), name=f"{run.name}{WARM_UP}", trace="")
     short = replace(alike, parameters={**alike.parameters, "repetitions": number})

@@ -80,7 +80,7 @@ def demands(topology: Topology) -> tuple[CpuDemand, ...]:
 
 
 def overloads(topology: Topology) -> Iterator[str]:
-    """What cannot fit: threads that need more than one CPU, and sets of CPUs that are too small.
+    """Overloads: threads that need more than one CPU, and sets of CPUs that are too small.
 
     A set of CPUs is too small if the executors that may run nowhere else need more. This assumes that executors move
     freely between their CPUs, so what is reported cannot fit, wherever the kernel runs them.
@@ -113,8 +113,8 @@ def _executor_shares(topology: Topology) -> dict[str, float]:
 def _unions(sets: set[frozenset[int]]) -> Iterator[frozenset[int]]:
     """The sets, and the unions of sets that overlap in a chain, the smallest first.
 
-    0-1 and 1-2 together may be too small although neither is. If there are more than some thousand unions, some are
-    left out.
+    0-1 and 1-2 together may be too small although neither is alone. If there are more than some thousand unions, some
+    are left out.
     """
     found, new = set(sets), set(sets)
     while new and len(found) < _UNIONS_MAX:
@@ -124,7 +124,7 @@ def _unions(sets: set[frozenset[int]]) -> Iterator[frozenset[int]]:
 
 
 def _asked(nodes: Sequence[TopologyNode], of_node: Mapping[str, float]) -> str:
-    """The CPU time that nodes ask for, the greediest of them first."""
+    """The CPU time that nodes ask for, the highest first."""
     busy = sorted((node for node in nodes if of_node[node.name]), key=lambda node: -of_node[node.name])
     total = sum(of_node[node.name] for node in busy)
     parts = [f"{node.name} {100 * of_node[node.name]:.3g} %" for node in busy]

@@ -1,4 +1,4 @@
-"""A topology: nodes, what each waits for, does and sends; the topics between them, and the threads they run in.
+"""A topology: nodes with what each waits for, does and sends; the topics between them, and their threads.
 
 A **node** is activated by one rule, does one piece of work, and then sends one message on each of its outputs: message
 number n of each output belongs to activation n. A node with two rules is described as two that share an executor. An
@@ -77,7 +77,7 @@ class TopologyNode:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class NamedPath:
-    """Topics that lead from one to the next, with the file's deadlines for data along them."""
+    """A sequence of topics along which data flow, with the file's deadlines for these data."""
 
     topics: tuple[str, ...]
     reaction_ns: int | None = None
