@@ -1,4 +1,4 @@
-"""Columns of values that may not fit into memory: they are written and read a piece at a time."""
+"""Columns of values that may be too large for memory: they are written and read in pieces."""
 
 import contextlib
 import mmap

@@ -1,9 +1,8 @@
 """The lines of a gnuplot log, taken apart but not yet interpreted (see gnuplot_log).
 
 The file is untrusted: its size and the length of its lines are limited, and memory grows with the number of bins that
-are not empty, not with the range of the values. A line that does not belong in such a log is refused with
-``file:line: what must stand here``. So no command gets through that gnuplot would execute (``system``, backquotes, a
-pipe as output).
+are not empty, not with the range of the values. A line that does not belong in such a log is refused with ``file:line:
+what must stand here``. So no command passes that gnuplot would execute (``system``, backquotes, a pipe as output).
 """
 
 import os
@@ -56,7 +55,7 @@ COUNTS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Printed:
-    """A summary as the log prints it, in microseconds, uncorrected; `line` is where it stands."""
+    """A summary as the log prints it, in microseconds, uncorrected; `line` is its line."""
 
     min_us: float
     avg_us: float

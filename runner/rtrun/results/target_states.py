@@ -13,7 +13,7 @@ FILE = "target.json"
 
 
 class TargetStates(Config):
-    """target.json; its two times since the boot bound the times of the samples."""
+    """target.json; its two uptimes bound the times of the samples."""
 
     schema_number: Literal[1] = Field(alias="schema")
     before: TargetState
