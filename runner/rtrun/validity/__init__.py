@@ -1,1 +1,1 @@
-"""Does a run count? Was it as asked for, do its counts add up, did its programs end well?"""
+"""Does a run count? Was it as requested, do its counts add up, did its programs end well?"""

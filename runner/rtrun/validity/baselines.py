@@ -30,10 +30,10 @@ def read_gaps(text: str) -> HardwareGaps | None:
 
 
 def check_baseline_output(run: Run, text: str) -> str | None:
-    """Say what does not add up in the standard output of a baseline, or None.
+    """What does not add up in the standard output of a baseline, or None.
 
-    Cyclictest ends all its threads as soon as one of them has measured as often as it was asked to, in a bin of the
-    histogram or above it. On a busy target the others have then measured less.
+    Cyclictest ends all its threads as soon as one of them has the requested number of values, in bins of the histogram
+    or above them. On a busy target the others have fewer values then.
     """
     if run.suite != "cyclictest":
         return (
@@ -59,7 +59,7 @@ def _command(run: Run) -> str:
 
 
 def _held_otherwise(run: Run, text: str) -> str | None:
-    """Say where cyclictest kept idle CPUs awake otherwise than asked, by the line that it prints, or None."""
+    """How cyclictest kept idle CPUs awake otherwise than requested, by the line that it prints, or None."""
     asked = run.parameters["cpu_dma_latency_us"]
     line = re.search(r"^# /dev/cpu_dma_latency set to ([0-9]{1,10})us$", text, re.MULTILINE)
     held = int(line[1]) if line else None

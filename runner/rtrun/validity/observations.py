@@ -1,6 +1,6 @@
 """What the sampler saw on the target while a run measured, read into types.
 
-All of it comes from the target: other text than sample.sh and rt_tests_sampler write is a UsageError.
+All of it comes from the target: text that neither sample.sh nor rt_tests_sampler writes is a UsageError.
 """
 
 import math
@@ -91,7 +91,7 @@ def read_text(path: Path) -> str:
 
 
 def output_bytes_max(lifetime_s: float) -> int:
-    """The largest believable size, in bytes, of what a sampler prints that runs for so long."""
+    """The largest plausible output, in bytes, of a sampler that runs for this long."""
     return OUTPUT_BYTES + math.ceil(lifetime_s / APART_S) * OBSERVATION_BYTES
 
 
@@ -265,7 +265,7 @@ def busy_percent(observations: Sequence[Observation]) -> float | None:
 def summarize(
     observations: Iterable[Observation], states: Iterable[ThreadState], *, is_attached: bool = False
 ) -> Observed:
-    """What run.json keeps: every value seen while the suite measured, and the fewest processes of each load.
+    """The part for run.json: every value seen while the suite measured, and the fewest processes of each load.
 
     `states` are those of the measuring threads. A run that observes other programs has no rivals: the observed programs
     would be among them.

@@ -1,4 +1,4 @@
-"""What became of a run, from the files that were pulled back."""
+"""The outcome of a run, from the files that were fetched."""
 
 import contextlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,12 +28,12 @@ from rtrun.validity.observations import (
     while_measuring,
 )
 
-LISTED_MAX = 1000  # The suites list so many indices of each kind at most.
+LISTED_MAX = 1000  # The suites list at most this many indices of each kind.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOutcome:
-    """What became of a run, why, and what was in effect meanwhile."""
+    """The status of a run, the reason for it, and what was in effect meanwhile."""
 
     status: RunStatus
     reason: str | None
@@ -58,11 +58,11 @@ def judge(
     ended_early: Mapping[str, str],
     is_timed: bool = True,
 ) -> RunOutcome:
-    """Say what became of a run from the files in `folder`, and why: the first thing that went wrong.
+    """Determine the outcome of a run from the files in `folder`; the reason is the first thing that went wrong.
 
-    `refused` has the files that were not taken, or not whole, with the reason; `ended_early` the background programs
-    that ended before the run, with their exit status. `is_timed`: times mean something on the target, so a publisher
-    that misses its rate makes the run invalid.
+    `refused` has the files that were not taken, or not completely, with the reason; `ended_early` the background
+    programs that ended before the run, with their exit status. `is_timed`: times are meaningful on the target, so a
+    publisher that misses its rate makes the run invalid.
     """
     records: Mapping[str, Record] = {}
     observations: list[Observation] = []
@@ -92,7 +92,7 @@ def judge(
     if is_disk_full := ended_early.get(SAMPLER) == DISK_FULL:
         cut = "the disk of the target was full (df -h)"
         ended_early = {name: exit_status for name, exit_status in ended_early.items() if name != SAMPLER}
-    # An error seen in the part that was taken comes first: it says more than that nobody saw the rest.
+    # An error in the part that was taken comes first: it says more than that the rest is unknown.
     unrelated: UnrelatedEnd | None = None
     if cut and (wrong is None or not while_measuring(observations, is_attached=is_attached)):
         wrong = f"nobody saw what was in effect to the end: {cut}"
@@ -129,7 +129,7 @@ def _by_writer(
 
 
 def _other_middleware(run: Run, heads: Mapping[str, Record | SenderRecord]) -> str | None:
-    """Say which program measured through another middleware than the run asks for, or None."""
+    """Name a program that measured through another middleware than requested, or None."""
     for program, head in heads.items():
         if head.middleware != run.middleware:
             return f"{program}: asked for the middleware {run.middleware}, it measured through {head.middleware}"
@@ -137,7 +137,7 @@ def _other_middleware(run: Run, heads: Mapping[str, Record | SenderRecord]) -> s
 
 
 def _senders(folder: Path, run: Run, refused: Mapping[str, str]) -> tuple[dict[str, SenderRecord], str | None]:
-    """The json of programs without samples, by program, and why one cannot be read. Those of 2014 wrote none."""
+    """The json of programs without samples, by program, and why one cannot be read. The programs of 2014 wrote none."""
     senders: dict[str, SenderRecord] = {}
     for program, name in suites.program_json_names(run.suite, run.parameters).items():
         if name in refused:
@@ -173,7 +173,7 @@ def _of_programs(folder: Path, programs: Sequence[Program], exits: Sequence[Exit
 
 
 def _said_by_others(folder: Path, outputs: Sequence[str]) -> str | None:
-    """Why a program that ended well stopped measuring, beside one that failed."""
+    """Why a program that ended well stopped measuring when another one had failed."""
     for path in (folder / f"{output}.json" for output in outputs):
         with contextlib.suppress(UsageError):
             if path.exists() and (why := read_json(path, Record).incomplete_reason):
@@ -223,11 +223,10 @@ def _of_outputs(
 
 
 def find_count_mismatch(record: Record, logs: Iterable[Log] = ()) -> str | None:
-    """Say what does not add up in a record and the logs beside it, or None when all of it does.
+    """What does not add up in a record and the logs beside it, or None.
 
-    Everything asked for was measured, did not fire, or is missing; an incomplete record may have less (never more, as
-    `read_samples` checks).
-    A message that came twice was received once; the duplicate is counted separately.
+    Each requested measurement was made, did not fire, or is missing; an incomplete record may have fewer (never more,
+    as `read_samples` checks). A message that came twice was received once; the duplicate is counted separately.
     """
     counts = record.counts
     if record.complete and counts.known != counts.asked:

@@ -1,4 +1,4 @@
-"""What a run asks for, compared with what was observed while it measured."""
+"""What a run requests, compared with what was observed while it measured."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
@@ -10,7 +10,7 @@ from rtrun.results.output import NON_MEASURING_THREADS, Record
 from rtrun.results.record import Requested
 from rtrun.validity.observations import APART_S, Observation, ThreadState, busy_percent, while_measuring
 
-# A program may take this long to get its policy. What is observed earlier is recorded, but makes no run invalid.
+# A program may take this long to get its policy. Earlier observations are recorded, but make no run invalid.
 STARTING_S = 10.0
 NAMED_MAX = 5  # threads that a message names
 # Parameters that the sampler sees, whatever a program says of itself.
@@ -18,7 +18,7 @@ _OBSERVED = ("policy", "priority", "cpu")
 
 
 def requested(run: Run, background: Sequence[Background]) -> Requested:
-    """What a run asks for, under the names that `Observed` uses; None where it asks for nothing."""
+    """What a run requests, under the names of `Observed`; None if it requests nothing."""
     has_policy = "policy" in run.parameters
     real_time = suites.is_real_time(run.parameters)
     return Requested(
@@ -67,7 +67,7 @@ def _named_threads(record: Record) -> list[tuple[str, ThreadState]]:
 def find_violation(
     run: Run, background: Sequence[Background], observations: Sequence[Observation], records: Mapping[str, Record]
 ) -> str | None:
-    """Say the first thing that was not in effect as asked for, or None. `records` are by output."""
+    """The first thing that was not in effect as requested, in words, or None. `records` are by output."""
     asked = requested(run, background)
     seen = while_measuring(observations, is_attached=run.subject.is_observed)
     return (
@@ -81,7 +81,7 @@ def find_violation(
 
 
 def _why_unseen(run: Run, observations: Sequence[Observation]) -> str:
-    """Why nobody saw the suite measure."""
+    """Why the suite was not observed while it measured."""
     if run.settings.get(conditions.SAMPLER):
         return "the campaign has switched off the sampler"
     if run.least_s < STARTING_S:
@@ -119,7 +119,7 @@ def _wrong_threads(
 
 
 def _wrong_facts(run: Run, records: Mapping[str, Record]) -> str | None:
-    """Say which fact of a middleware is not as the run asks for, or None."""
+    """Name a fact of a middleware that is not as requested, or None."""
     for output, record in records.items():
         for key, fact in record.in_effect.facts.items():
             asked = run.parameters.get(key)
@@ -129,7 +129,7 @@ def _wrong_facts(run: Run, records: Mapping[str, Record]) -> str | None:
 
 
 def _uncounted(run: Run, records: Mapping[str, Record]) -> str | None:
-    """Say which program did not count allocations though the run asks for it, or None."""
+    """Name a program that did not count allocations as requested, or None."""
     for output, record in records.items() if run.parameters.get(suites.ALLOCATIONS) else ():
         if record.costs is None or record.costs.allocations is None:
             return f"{output}: allocations were not counted: the library for that was not preloaded"
@@ -183,8 +183,8 @@ def _counted(
     """Yield the threads of each program at each observation that counts, and the time since its first, in seconds.
 
     A program that starts has no priority yet, and a program that has measured, or stopped early, gives it up. So
-    observations before the first one as asked for, and after the last one, do not count: unless the program has had
-    STARTING_S, or should still be measuring. While a busy target is observed, a program may end.
+    observations before the first one that is as requested, and after the last such one, do not count, unless the
+    program has had STARTING_S, or should still be measuring. While a busy target is observed, a program may end.
     """
     fits = _requirement_of(run)
     complete = all(record.complete for record in records.values())
@@ -199,7 +199,7 @@ def _counted(
 
 
 def _requirement_of(run: Run) -> Callable[[Iterable[ThreadState]], bool]:
-    """Return whether threads are as asked for: all of them, or as many as the run's scope is about."""
+    """Return a check whether threads are as requested: all of them, or as many as the run's scope names."""
     asked = requested(run, [])
 
     def fits(state: ThreadState) -> bool:
@@ -230,10 +230,10 @@ def _words(policy: str | None, priority: int | None, cpus: list[int] | None) -> 
 
 
 def find_unseen_option(run: Run, understood: Mapping[str, suites.Value]) -> str | None:
-    """Say which option of a run nobody can see in effect, or None. `understood` is what the program reports.
+    """Name an option of a run that cannot be seen in effect, or None. `understood` is what the program reports.
 
-    The programs of 2014 ignore unknown options without a word, so an option that is not among `understood` may have
-    done nothing. Policy, priority and CPUs are observed from outside.
+    The programs of 2014 silently ignore unknown options, so an option that is not among `understood` may have had no
+    effect. Policy, priority and CPUs are observed from outside.
     """
     for name, value in run.parameters.items():
         option = suites.options().get(name)
