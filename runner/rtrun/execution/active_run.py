@@ -46,7 +46,7 @@ class ActiveRun:
 
     @property
     def measuring(self) -> list[str]:
-        """The names of the programs that measure: once they run, the target goes on by itself."""
+        """The names of the programs that measure: once they run, the target continues on its own."""
         return [program.name for program in self.programs.subject.measuring]
 
     @property

@@ -1,4 +1,4 @@
-"""Which board measures what next: runs come in rounds, and a board that is free takes the next one."""
+"""Which board measures what next: runs are handed out in rounds, and a free board takes the next one."""
 
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -78,7 +78,7 @@ class Allotment:
         """How many times a board gave back its runs."""
 
     def take(self, board: str, begun: Collection[str]) -> Round | None:
-        """Return the next round of a board that has closed the runs of its last one; None: the campaign is over.
+        """Return the next round for a board that has closed the runs of its last one; None: the campaign is over.
 
         `begun` are the runs that an earlier call began on this board. Waits while other boards may fail and leave their
         runs to this one. Raises KeyboardInterrupt after `stop`.

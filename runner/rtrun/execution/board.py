@@ -27,7 +27,7 @@ from rtrun.targets.inspection.kernel_trace import tracing
 from rtrun.targets.link import Link, TargetRebooted
 from rtrun.targets.restart import check_restart, restart
 
-# A board that restarts during each of this many attempts will not complete the run.
+# If a board restarts during each of this many attempts, it will not complete the run.
 ATTEMPTS = 3
 
 Clock = Callable[[], datetime]
@@ -47,7 +47,7 @@ class Observer(Protocol):
 
     @property
     def on_figures(self) -> Callable[[FiguresSoFar], None] | None:
-        """Shows what the run has measured so far; None: nobody sees that, and the target is not asked."""
+        """Shows what the run has measured so far; None: this is not shown, and the target is not asked for it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +85,7 @@ class Session:
 def measure_rounds(
     session: Session, link: Link, observer: Observer, take_round: Callable[[Collection[str]], Round | None]
 ) -> None:
-    """Measure rounds on a board until `take_round` gives no more. Its argument: the runs begun there before.
+    """Measure rounds on a board until `take_round` gives no more. Its argument are the runs begun there earlier.
 
     Raises UsageError when the board cannot do what the campaign asks for, TargetError when it cannot go on.
     """
@@ -126,7 +126,7 @@ def measure_rounds(
                 number = numbers.get(run.name, 0)
                 observer.began(number, run)
                 if is_finished(session.results / run.name):
-                    # Another board closed the run, and then could not go on.
+                    # Another board closed the run, and failed afterwards.
                     session.statuses[run.name] = RunStatus.OK
                     observer.ended(number, run, RunStatus.OK, None)
                     continue
@@ -148,7 +148,7 @@ def measure_rounds(
 
 
 def _is_foreign(session: Session, run: str, target: str) -> bool:
-    """Whether another board has taken over a run that this board began before it was out of reach."""
+    """Whether another board has taken over a run that this board had begun before it became unreachable."""
     return session.owners.get(run, target) != target or is_finished(session.results / run)
 
 
@@ -186,7 +186,7 @@ def _measure(
             observer.note(f"{run.name}: {error}")
             if life.state is RunState.CLOSED:
                 record = read_record(folder)
-                # An observation that was cut off has closed what it saw as a run.
+                # An observation that was cut off has closed a run with what it saw.
                 if not run.subject.is_observed or record.status is not RunStatus.INCOMPLETE or not attempts_left:
                     return record.status, record.reason
             if not attempts_left:

@@ -30,10 +30,10 @@ def find_unfinished(results: Path, name: str, runs: Sequence[Run], *targets: str
 
 
 def has_rounds(results: Path, name: str, groups: Sequence[Run], rounds: PlanRounds, *targets: str) -> bool:
-    """Whether there is something left to measure for a campaign with rounds. Raises UsageError as `find_unfinished`."""
+    """Whether a campaign with rounds has anything left to measure. Raises UsageError as `find_unfinished`."""
     run_directory.make_results(results)
     with journal.at_work(results), _open_journal(results, name, groups, targets) as log:
-        # No call has run since the last event, so that time is not spent.
+        # No call has run since the last event, so the time since then does not count.
         return rounds(lambda: log.spent_s(None))((), ()) is not None
 
 
@@ -76,7 +76,7 @@ def run_campaign_on_boards(
     rounds: PlanRounds | None = None,
     now: Clock = utc_now,
 ) -> dict[str, RunStatus]:
-    """`run_campaign` on several boards at a time: whichever is free measures what comes next.
+    """`run_campaign` on several boards at once: a free board measures what comes next.
 
     A board that cannot go on tells its observer and leaves its runs to the others. Raises TargetError when no board is
     left. `observer` takes the remarks that concern no single board.

@@ -10,8 +10,8 @@ from rtrun.results.output import Record
 from rtrun.results.record import Clock
 from rtrun.targets.inspection.facts import TargetState
 
-# Steps of clocksources that are far coarser than what is measured, in ns, rounded up. The step of a finer clock shows
-# only when it is read in a loop, as the measuring programs do.
+# Steps of clocksources that are far coarser than the measured times, in ns, rounded up. The step of a finer clock is
+# only seen by reading it in a loop, as the measuring programs do.
 _COARSE_NS = {
     # OMAP's 32 768 Hz counter: the only clocksource of a PandaBoard ES under a mainline kernel.
     "32k_counter": 30_518,

@@ -45,8 +45,8 @@ def close(
     """Fill the directory of a run that has ended on the target, and return its closing record.
 
     Streams that were observed, or went through a topology, become further runs next to it. `troubles` are problems with
-    the target after something was observed. Raises TargetError when the target does not hand over its files; if
-    something was observed, it is kept without them instead.
+    the target after something was observed. Raises TargetError when the target does not deliver its files; if something
+    was observed, it is kept without them instead.
     """
     run = work.run
     if observed is not None:

@@ -22,7 +22,7 @@ CGROUPS_LIMIT_BYTES = MIB  #: recorded control groups of a program
 TRACES_MAX = 16  #: kernel traces of an output of a suite
 # Text that is useful even when it is cut off.
 _STREAMS = (".stdout", ".stderr")
-# Works without room on the disk, and with any dd.
+# Works on a full disk, and with any dd.
 _CUT = 'cd "$1" && dd if=/dev/null of="$2" bs=1 seek="$3" 2>/dev/null'
 _TRACES = "-trace-*.txt"
 _TRACE = re.compile(r"(.+)-trace-[0-9]{1,18}\.txt", re.ASCII)
@@ -86,7 +86,7 @@ def pull(
             try:
                 check_commands(destination / name)
             except UsageError as error:
-                # Not under a name that somebody may pass to gnuplot.
+                # Not under a name that a user may pass to gnuplot.
                 (destination / name).rename(destination / f"{name}.refused")
                 refused[name] = f"kept as {name}.refused: {str(error).replace(f'{destination}/', '')}"
     return refused

@@ -18,7 +18,7 @@ from rtrun.targets.link import Link
 
 
 class BoardObserver(Observer, Protocol):
-    """Shows the user how far one of several boards is."""
+    """Shows the user the progress of one of several boards."""
 
     def left(self, error: str | None) -> None:
         """The board measures no more: the campaign is over, or, with an error, the board cannot go on."""
@@ -76,7 +76,7 @@ def _is_of_this_machine(error: BaseException) -> bool:
 
 
 class _FarmThreads:
-    """What the threads share: the errors that ended boards, and the means to end them all."""
+    """State that the threads share: the errors that ended boards, and the means to end them all."""
 
     def __init__(self, session: Session, allotment: Allotment) -> None:
         self.errors: dict[str, BaseException] = {}
@@ -110,7 +110,7 @@ class _FarmThreads:
                 measure_rounds(self._session, link, board.observer, take)
         except BaseException as raised:
             if isinstance(raised, TargetGone) and self._allotment.is_over:
-                # The board was waited for, and became free too late.
+                # The wait for the board took too long: the campaign is over.
                 return
             # The thread that waits for all boards decides what the error means for them.
             error = self.errors[board.name] = raised
@@ -130,7 +130,7 @@ class _FarmThreads:
     def wait(self, boards: int) -> None:
         """Wait until this many boards have ended.
 
-        Thread.join would not do: after a KeyboardInterrupt within it, Python 3.11 takes the thread for ended.
+        Thread.join does not work here: after a KeyboardInterrupt within it, Python 3.11 treats the thread as ended.
         """
         with self._changed:
             self._changed.wait_for(lambda: self._ended == boards)

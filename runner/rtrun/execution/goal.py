@@ -23,7 +23,8 @@ TRIES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Findings:
-    """What the rounds ask of the results: a finished run's boot (None: not finished), answers, seconds spent so far."""
+    """What the rounds need from the results: a finished run's boot (None: not finished), answers, seconds spent so
+    far."""
 
     boot_of: Callable[[Run], str | None]
     has_failed: Callable[[Run], bool]
@@ -55,7 +56,8 @@ def read_findings(results: Path, evaluate: Callable[[], Sequence[Standing]], spe
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """How far a group is (None: nothing is measured), and the time to its answer if misses go on at the rate seen.
+    """The standing of a group (None: nothing is measured), and the time to its answer if misses continue at the rate
+    seen.
 
     `left_s` includes the time between runs, as far as it was seen; None: no time is long enough.
     """
@@ -147,8 +149,8 @@ def standings_of(groups: Sequence[Run], standings: Sequence[Standing]) -> dict[s
     """The standing of each group by the group's name; if its runs are not pooled, that of the latest run.
 
     Runs of a campaign are not pooled when the target's kernel changed in between, nor when their boards are not alike.
-    Each such board needs its own answer, and so does each observed stream with a deadline: as long as one of them has
-    no answer, the standing of the group is that of this one.
+    Each such board needs its own answer, and so does each observed stream with a deadline: while one of them has no
+    answer, its standing is that of the group.
     """
     latest: dict[str, dict[tuple[str, frozenset[str]], tuple[int, Standing]]] = {}
     for standing in standings:
@@ -192,7 +194,7 @@ def _latest_round(groups: Sequence[Run], findings: Findings) -> int:
 def _used_boots(
     groups: Sequence[Run], number: int, highest: int, boot_rounds: int, findings: Findings
 ) -> frozenset[str]:
-    """The boots of those rounds up to `highest` that must not share a boot with this round."""
+    """The boots of the rounds up to `highest` that must not share a boot with this round."""
     others = [
         other
         for other in range(1, highest + 1)
@@ -223,7 +225,7 @@ def _progress(
 
 
 def runs_left(group: Run, standing: Standing | None, measurements: int, boot_rounds: int) -> int | None:
-    """How many more runs bring a group to its answer if misses go on at the rate seen; None where no number does."""
+    """How many more runs bring a group to its answer if misses continue at the rate seen; None if no number does."""
     verdict = standing.verdict if standing else None
     if standing is not None and standing.is_final:
         return 0

@@ -1,4 +1,4 @@
-"""Late values of an observation, each with the kernel's events around it, which show its cause."""
+"""Late values of an observation, each with the kernel's events around it, which may show its cause."""
 
 import heapq
 from collections import deque

@@ -1,4 +1,4 @@
-"""Observe programs that run already: place probes on them, and read what the probes see until the end."""
+"""Observe programs that run already: place probes on them, and read their hits until the end."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from rtrun.targets.errors import TargetError
 from rtrun.targets.inspection import kernel_trace
 from rtrun.targets.link import Link, TargetRebooted
 
-# Events that nothing is read from here, and the number of the others per second on a busy machine.
+# Events that are not read here, and the number of the others per second on a busy machine.
 _FOR_PEOPLE = ("osnoise",)
 _KERNEL_EVENTS_PER_S = 80_000
 # A program that restarts is back within this time.
@@ -37,7 +37,7 @@ GONE_NS = 10 * 10**9
 NOTHING = "no program runs there that uses ROS, and no thread with a real-time policy"
 NO_ADDRESSES = "no loop is measured: the kernel hides the addresses of its functions (kernel.kptr_restrict)"
 KEPT_FIRST = "what was observed is kept first; Ctrl-C once more ends rtrun at once"
-# Recorded only for paths of topics and for causes of late values: each message has several of them.
+# Recorded only for paths of topics and causes of late values, because each message has several of them.
 OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
 
 
@@ -73,7 +73,7 @@ def _ignore(_seen: object) -> None:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Onlooker:
-    """Who follows a run, and how it is notified.
+    """The follower of a run, and how it is notified.
 
     `on_figures` is called every few seconds with what a suite has measured so far; None: the target is not asked.
     `on_second` is called about once a second with the state of an observation, `on_end` with the whole result.
@@ -168,7 +168,7 @@ def observe(
     What is measured is kept in a file without a name in `folder`; None: in the folder of temporary files. If a system
     was started for the observation, the observation ends with that system. Raises TargetError if there is nothing to
     observe or the target cannot be observed; TargetRebooted and KeyboardInterrupt only before something was seen. After
-    that, whatever ends the observation, what was seen is returned.
+    that the result is returned, whatever ends the observation.
     """
     if nothing := watched.why_nothing(plan):
         raise TargetError(f"{link.target.address}: {nothing}")
@@ -286,5 +286,5 @@ def observe(
 
 
 def defect_in_words(error: Exception) -> str:
-    """Describe an error that is no trouble with a target: a defect of ours, or this machine is out of resources."""
+    """Describe an error that is not the target's: a defect of ours, or this machine is out of resources."""
     return f"rtrun itself failed: {type(error).__name__}{f': {error}' if str(error) else ''}"[:300]

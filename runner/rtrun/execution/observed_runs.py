@@ -1,4 +1,4 @@
-"""Turn an observation into runs like any other: a run directory for each stream, and one for the whole."""
+"""Turn an observation into normal runs: a run directory for each stream, and one for the whole."""
 
 import contextlib
 import functools

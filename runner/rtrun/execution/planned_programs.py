@@ -1,4 +1,4 @@
-"""The programs of a run: those of its subject, those in the background, and the files that they may write."""
+"""The programs of a run, of its subject and in the background, and the files that they may write."""
 
 from pathlib import PurePosixPath
 

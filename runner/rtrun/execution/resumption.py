@@ -1,7 +1,7 @@
-"""What an earlier call left of a run on the target, and the attempt file by which a run is picked up.
+"""What an earlier call left of a run on the target, and the attempt file that is needed to resume it.
 
-The attempt file holds what the runner knew when the run began. A run may be picked up days later, with another build
-of the suites at hand: what really runs is in this file.
+The attempt file holds what the runner knew when the run began. A run may be resumed days later, with another build
+of the suites at hand: the file names what really runs.
 """
 
 import json
@@ -110,7 +110,7 @@ class Leftovers:
     """Why the attempt file, if there is one, could not be read."""
 
     def can_be_picked_up(self, measuring: Collection[str], closed: RunRecord | None) -> bool:
-        """Whether the run measures, or has measured, and was not closed since.
+        """Whether the run is measuring, or has measured and has not been closed since.
 
         `measuring` are the programs that are started last: before them nothing is measured. `closed` is the record in
         the run directory. It may be of this very attempt, if the runner had no time to remove the folder on the target.
@@ -126,7 +126,7 @@ class Leftovers:
 def inspect_leftovers(
     link: Link, remote: PurePosixPath, programs: Collection[str], others: Collection[str]
 ) -> Leftovers:
-    """Inspect what an earlier call left of a run with these programs of its suite, and these others."""
+    """Inspect what an earlier call left of a run that has these programs of its suite, and these others."""
     command = ["sh", "-c", _INSPECT, "sh", str(remote), str(LIMIT_BYTES), *programs, *others]
     head, mark, text = link.check(command).partition("attempt\n")
     words = [line.split() for line in head.splitlines()]
@@ -166,8 +166,8 @@ def list_folders(link: Link, runs: PurePosixPath, names: Collection[str]) -> lis
 def may_run_go_on(link: Link, runs: PurePosixPath, names: Collection[str]) -> bool:
     """Whether one of these runs may still be running: it was started on this boot, and its end was not seen.
 
-    The target is asked this before anything that runs need is ended. No error can tell it: the link may have broken
-    before, while or after a run was started, and an earlier call may have left one.
+    Ask this before ending anything that runs need. An error cannot tell it: the link may have broken before, while or
+    after a run was started, and an earlier call may have left one.
     """
     return bool(link.check(["sh", "-c", _GOING_ON, "sh", str(runs)], stdin=_lines(names)).strip())
 
@@ -202,7 +202,7 @@ def _refuse_busy(link: Link, printed: str) -> None:
 
 
 def without_folder(start_time: str, before: TargetState) -> Attempt:
-    """The attempt at a run that puts nothing on the target, so that no later call can pick it up."""
+    """The attempt at a run that leaves nothing on the target, so no later call can resume it."""
     return Attempt(
         schema=1, uid=secrets.token_hex(8), start_time=start_time, service="", own_service=False, argv={}, before=before
     )

@@ -1,4 +1,4 @@
-"""One run on a prepared target: resumed or started, waited for or observed, ended; then it is closed."""
+"""One run on a prepared target: it is resumed or started, awaited or observed, ended, and then closed."""
 
 import contextlib
 import secrets
@@ -44,7 +44,7 @@ _FILES = "== files"
 
 
 def must_give_up(state: RunState, error: BaseException) -> bool:
-    """Whether an error ends what runs on the target; otherwise the run stays as it is, for the next call to pick up."""
+    """Whether an error ends the run on the target; otherwise the run stays as it is, and the next call resumes it."""
     if isinstance(error, OUT_OF_REACH):
         return False
     if state in (RunState.STARTING, RunState.LAUNCHING, RunState.OBSERVING):
@@ -123,7 +123,7 @@ def _measure(work: ActiveRun, life: RunLife, now: Clock, *, may_be_begun: bool) 
             raise TargetError(f"{error}; the run goes on and is picked up by the next call") from error
         raise
     aftermath = measured.aftermath
-    # If the target does not answer any more, nothing else is known of how the run ended there.
+    # If the target no longer answers, nothing else is known about how the run ended there.
     end = RunEnd(
         failure=not_started or measured.failure,
         exits=measured.exits,
@@ -248,7 +248,7 @@ def _begin(work: ActiveRun, now: Clock) -> Attempt:
 
 
 def _start_background(work: ActiveRun) -> None:
-    """Start what the condition asks for. Raises TargetError when a program of it ends at once."""
+    """Start the programs of the condition. Raises TargetError when one of them ends at once."""
     link, prepared = work.link, work.prepared
     programs = [entry.program for entry in work.programs.background]
     setup = prepared.setup_of(conditions.middleware_of_loads(work.run.condition))

@@ -1,4 +1,4 @@
-"""What runs on the target for one run: the programs of its subject, and those in the background."""
+"""The programs on the target for one run: those of its subject, and those in the background."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -30,12 +30,12 @@ class SubjectPrograms:
 
     @property
     def measuring(self) -> tuple[Program, ...]:
-        """The programs that start last; nothing is measured before."""
+        """The programs that start last; before them nothing is measured."""
         return self.stages[-1] if self.stages else ()
 
     @property
     def awaited(self) -> tuple[Program, ...]:
-        """The programs that start earlier; without them the last ones have nothing to do."""
+        """The programs that start earlier; without these the last ones have nothing to do."""
         return tuple(program for stage in self.stages[:-1] for program in stage)
 
     @property

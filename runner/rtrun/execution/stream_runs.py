@@ -1,4 +1,4 @@
-"""Turn measured streams into runs like any other: a run directory for each, and one for each that is missing."""
+"""Turn measured streams into normal runs: a run directory for each, and one for each that is missing."""
 
 import contextlib
 import re
@@ -122,7 +122,7 @@ def write_streams(
             continue
         deadline_ns = facts.deadline_ns(output)
         if deadline_ns is not None and is_late(stream.open_ns, deadline_ns):
-            # The value that is still open is a miss, whenever it comes.
+            # The value that is still open is a miss, even if it comes later.
             output = replace(output, asked=output.asked + 1, missing=output.missing + 1)
             left_out.append(f"{_in_words(stream)}: {stream.kind.overdue.format(time(stream.open_ns))}")
         # The run of the stream has its values. Those of all streams may be more than the memory holds.

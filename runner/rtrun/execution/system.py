@@ -1,4 +1,5 @@
-"""The user's system: started by its command on the target, waited for until it is ready, ended with all it started."""
+"""The user's system: started by its command on the target, awaited until it is ready, ended with all that it
+started."""
 
 import contextlib
 import time
@@ -111,7 +112,7 @@ def _published(
 
 
 def end_of(link: Link, remote: PurePosixPath) -> str | None:
-    """How the system ended, with its last word; None while it runs.
+    """How the system ended, with its last line of output; None while it runs.
 
     A command that succeeded may leave the system running. If it failed or lost its supervisor, the system has ended.
     """
@@ -127,7 +128,7 @@ def end_of(link: Link, remote: PurePosixPath) -> str | None:
 
 
 def end(link: Link, remote: PurePosixPath) -> Exit:
-    """End what the command has started and still runs, nothing else. Return its exit status if it ended on its own."""
+    """End everything that the command started and that still runs. Return its exit status if it ended on its own."""
     standing = processes.look(link, remote, SYSTEM)
     processes.end(link, remote, SYSTEM, stages=processes.LIKE_CTRL_C)
     return Exit(status=standing.status, expired=False)

@@ -108,7 +108,7 @@ def read_run(folder: Path, run: Run, topology: Topology) -> TopologyTables | str
 
 
 def _wrong_fact(process: str, host: HostRecord, run: Run) -> str | None:
-    """Say which setting of the middleware is in effect if the run asks for another one, or None."""
+    """Name a setting of the middleware that is in effect instead of the requested one, or None."""
     for key, fact in host.in_effect.facts.items():
         asked = run.parameters.get(key)
         if asked not in (None, "") and str(asked) != fact:
@@ -117,7 +117,7 @@ def _wrong_fact(process: str, host: HostRecord, run: Run) -> str | None:
 
 
 def _wrong_thread(topology: Topology, process: str, host: HostRecord) -> str | None:
-    """Say which executor of a process did not run as it was asked for, or None."""
+    """Name an executor of a process that did not run as requested, or None."""
     for executor in topology.executors:
         if executor.process != process:
             continue
@@ -157,7 +157,7 @@ def write(
             end_time=record.end_time,
             deadlines=plan.deadlines,
             programs=functools.partial(_programs, plan.topology, programs),
-            # A run that names no middleware was measured through the usual one.
+            # A run that names no middleware was measured through the default one.
             parameters={**record.parameters, "middleware": middleware_of(record.suite, record.parameters)},
         ),
         list(topology_streams(tables, plan)),

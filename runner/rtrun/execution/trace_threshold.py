@@ -1,4 +1,4 @@
-"""The limit above which a run keeps traces, found in its warm-up where the campaign gives a quantile."""
+"""The limit above which a run keeps traces. If the campaign gives a quantile, the warm-up shows the limit."""
 
 from pathlib import Path
 

@@ -116,9 +116,9 @@ def running(
 
     Our master stays if a run may go on: without it the run would hang in ros::shutdown.
 
-    With `priority` it runs under FIFO at that priority, which must lie above that of every real-time node: on one CPU
-    a node spins in ros::shutdown until the master answers, and a master below it never would (thesis 4.4).
-    `owner` tells our master from one of another campaign.
+    With `priority` it runs under FIFO at that priority, which must lie above that of every real-time node: on one CPU a
+    node spins in ros::shutdown until the master answers, and a master below it never would (thesis 4.4). `owner`
+    distinguishes our master from that of another campaign.
     """
     target = link.target
     folder = target.work_dir / "master" / owner
@@ -159,7 +159,7 @@ def running(
                     link.run(["rm", "-rf", str(folder)])
 
 
-# A lock that is taken fails in silence. Where locking itself fails, nobody knows whether the master runs.
+# If the lock is taken, locking fails silently. If locking itself fails, it is unknown whether the master runs.
 _LOCKED = '[ ! -e "$1" ] || message=$(flock -n "$1" true 2>&1) || echo "taken $message"'
 
 

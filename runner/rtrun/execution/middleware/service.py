@@ -13,7 +13,7 @@ from rtrun.targets.link import Link
 class Running(Protocol):
     """Keeps a service running while the context lasts or a run goes on; yields whether the service is ours.
 
-    `owner` tells it from the service of another campaign. With `priority` it runs under FIFO at that priority.
+    `owner` distinguishes it from the service of another campaign. With `priority` it runs under FIFO at that priority.
     """
 
     def __call__(

@@ -1,4 +1,4 @@
-"""What each subject of a run defines: its programs, how they start, how the runner waits for them, what is kept."""
+"""What each subject of a run defines: its programs, how to start and await them, and what is kept."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
@@ -39,7 +39,7 @@ class Aftermath:
 
     @contextlib.contextmanager
     def keeping(self) -> Iterator[None]:
-        """Note trouble, Ctrl-C or a defect of ours instead of raising it."""
+        """Record trouble, Ctrl-C or a defect of ours instead of raising it."""
         try:
             with self.deferring():
                 yield

@@ -19,7 +19,7 @@ from rtrun.targets import processes
 
 # How many subscribers a publisher waits for, if no service counts them.
 AWAITED = "awaited_subscribers"
-# A suite that takes longer than this multiple of its expected time, plus this much, hangs.
+# A suite hangs if it takes longer than this multiple of its expected time, plus this much.
 DEADLINE_FACTOR = 5
 DEADLINE_EXTRA_S = 120.0
 SUBSCRIBED_S = 60.0  #: waiting for subscribers to register
@@ -88,7 +88,7 @@ def _start_stages(work: ActiveRun, life: RunLife) -> str | None:
         names = [program.name for program in work.programs.subject.awaited]
         _wait_ready(work, names)
         if ended := processes.list_ended(link, remote, names):
-            # The run has failed. The publisher would not notice, and would take as long as if all were there.
+            # The run has failed. The publisher would not notice, and would take its full time.
             processes.end(link, remote, *names)
             return f"{ended[0]} ended before {stage[0].name} was started: {_last_word(work, ended[0])}"
         start(*stage, stage=stage)
@@ -144,7 +144,7 @@ def wait(work: ActiveRun, life: RunLife, not_started: str | None, now: Clock) ->
 
 
 def _following(work: ActiveRun) -> processes.Following | None:
-    """What is read while the suite measures: the figures so far of each of its outputs, if somebody follows the run."""
+    """What is read while the suite measures: the figures so far of each of its outputs, if they are shown."""
     show = work.onlooker.on_figures
     if show is None:
         return None
