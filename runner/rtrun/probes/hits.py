@@ -1,4 +1,5 @@
-"""What the probes saw: the types that pass from a target's trace to whoever reads messages and timers from it."""
+"""The types for what the probes saw: they pass from the reader of a target's trace to the readers of messages and
+timers."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +16,7 @@ HITS_CLOCK, SYSTEM, RAW = "steady", "system", "raw"
 
 
 class ClockReading(NamedTuple):
-    """Another clock was `offset_ns` ahead of the hits' clock when that showed `at_ns`."""
+    """Another clock was `offset_ns` ahead of the hits' clock when the hits' clock showed `at_ns`."""
 
     clock: str
     at_ns: int
@@ -25,8 +26,8 @@ class ClockReading(NamedTuple):
 class Hit(NamedTuple):
     """A probed function was called.
 
-    `at_ns` is of CLOCK_MONOTONIC. `pid` is 0 where the process of the thread is not known. `event` is its name in the
-    probes' data, `values` are the arguments by the names that they have there.
+    `at_ns` is of CLOCK_MONOTONIC. `pid` is 0 if the process of the thread is not known. `event` is its name in the
+    probes' data; `values` are the arguments, by their names there.
     """
 
     at_ns: int
@@ -52,7 +53,7 @@ class GapCause(StrEnum):
 
 
 class Gap(NamedTuple):
-    """A time in which hits are missing: the kernel lost events, or the probes rested because there were too many.
+    """A time in which hits are missing: the kernel lost events, or the probes paused because there were too many.
 
     `from_ns` and `until_ns` are of CLOCK_MONOTONIC. What was seen before a gap must not be joined with what came after.
     """
@@ -64,7 +65,8 @@ class Gap(NamedTuple):
 
 
 def covered_ns(spans: Iterable[tuple[int, int]]) -> int:
-    """The time in ns within any of these spans, (begin, end), which may overlap as the gaps of two CPUs do."""
+    """The time in ns that at least one of these spans (begin, end) covers; they may overlap, as the gaps of two CPUs
+    do."""
     covered = until_ns = 0
     for begin_ns, end_ns in sorted(spans):
         covered += max(0, end_ns - max(begin_ns, until_ns))
@@ -73,7 +75,7 @@ def covered_ns(spans: Iterable[tuple[int, int]]) -> int:
 
 
 def joined(gaps: Iterable[Gap]) -> list[Gap]:
-    """Sort gaps by their begin and join those of a cause that overlap; each cause keeps GAPS_MAX at most.
+    """Sort gaps by their begin, and join overlapping gaps of the same cause; each cause keeps at most GAPS_MAX.
 
     Beyond that, gaps with the shortest time between them are joined, too: that time then counts as not seen.
     """
@@ -121,9 +123,9 @@ class ProgramThread:
 class ObservedProgram:
     """A process that maps a library with probes, or whose loops are observed.
 
-    `start_ticks` tells it from a later process of the same pid. `file` is the name of the file that it runs, without
-    the folder. `locked_bytes` is its locked memory (VmLck). `libraries` are the target's paths of the libraries with
-    probes that it maps.
+    `start_ticks` distinguishes it from a later process of the same pid. `file` is the name of the file that it runs,
+    without the folder. `locked_bytes` is its locked memory (VmLck). `libraries` are the target's paths of the libraries
+    with probes that it maps.
     """
 
     pid: int

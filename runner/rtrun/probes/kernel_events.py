@@ -1,4 +1,4 @@
-"""The kernel's own events as they came, in few bytes each: nobody ever asks for the values of most of them."""
+"""The kernel's own events as they came, in few bytes each, because the values of most are never needed."""
 
 from array import array
 from collections.abc import Iterator, Sequence

@@ -38,7 +38,7 @@ class LoopWatch:
 
 
 def thread_name(name: str) -> str:
-    """The kernel's name of a thread, without the number that tells it from others alike."""
+    """The kernel's name of a thread, without the number that distinguishes it from similar ones."""
     before, _, number = name.rpartition("#")
     return before if number.isdecimal() else name
 

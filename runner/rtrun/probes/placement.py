@@ -88,7 +88,7 @@ class RefusedProbe:
 
 
 def refusals(refused: Sequence[RefusedProbe]) -> tuple[str, ...]:
-    """What was not placed and why, a sentence for each library and reason."""
+    """The probes that were not placed, and why: a sentence for each library and reason."""
     alike: dict[tuple[str, str], list[str]] = {}
     for each in refused:
         alike.setdefault((each.path, each.reason.rpartition(": ")[2]), []).append(each.event)
@@ -99,7 +99,7 @@ def refusals(refused: Sequence[RefusedProbe]) -> tuple[str, ...]:
 
 
 def costly(placed: Sequence[PlacedProbe]) -> tuple[str, ...]:
-    """Which probes cost more than others, a sentence for each library."""
+    """The probes that cost more than others: a sentence for each library."""
     events: dict[str, list[str]] = {}
     for each in placed:
         if each.is_stepped:

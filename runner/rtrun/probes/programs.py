@@ -79,7 +79,7 @@ class FoundPrograms:
 
 
 def left_out_in_words(number: int) -> str:
-    """What is not known because programs were left out."""
+    """What is unknown because programs were left out, in words."""
     return (
         f"{counted(number, 'program')} beyond {PROGRAMS_MAX} programs, {THREADS_MAX} threads or "
         f"{TEXT_BYTES_MAX // MIB} MiB of names: their streams are named by their processes"
@@ -208,13 +208,13 @@ class _CpuSets:
 
 
 class _Room:
-    """What is left of the limits on programs that are kept."""
+    """The unused part of the limits on programs that are kept."""
 
     def __init__(self) -> None:
         self._programs, self._threads, self._text_bytes = PROGRAMS_MAX, THREADS_MAX, TEXT_BYTES_MAX
 
     def take(self, program: ObservedProgram) -> bool:
-        """Take room for a program; False if there is none."""
+        """Reserve room for a program; False if there is none."""
         left = self._programs - 1, self._threads - len(program.threads), self._text_bytes - _text_bytes(program)
         if min(left) < 0:
             return False
@@ -228,7 +228,7 @@ class _Room:
 
 
 class Roster:
-    """The programs of an observation: those that live now, and all that it ever had, with their last state.
+    """The programs of an observation: those that live now, and all that it ever saw, with their last state.
 
     Both have the limits of a listing. `left_out` counts programs for which one of them had no room. Each listing has
     sets of CPUs of its own; all that is kept here has CPU_SETS_MAX together.

@@ -19,7 +19,7 @@ _DATA_MAX, _PADDING, _TIME_EXTEND, _TIME_STAMP = 28, 29, 30, 31
 _DELTA_BITS, _DELTA_SHIFT = 27, 5
 # Events have the lower 59 bits of an absolute time.
 _STAMP_UPPER = 0x1F << 59
-# Since the boot: 28 years. An observation of some years from then on still has times that fit the record.
+# Since the boot: 28 years. Times of an observation that then lasts for some years still fit the record.
 _CLOCK_MAX_NS = TIME_MAX_NS // 10 * 9
 _WORD = struct.Struct("<I")
 _HEAD = {4: struct.Struct("<QI"), 8: struct.Struct("<QQ")}

@@ -1,4 +1,4 @@
-"""An observation: probes are placed on the programs of a target, and what they see is streamed until it is over."""
+"""An observation: probes are placed on the programs of a target, and their hits are streamed until it is over."""
 
 import contextlib
 import queue
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 LIMIT_PER_S = 40_000
 # To place fifty probes on a slow board, and to take them off again.
 SET_UP_S = 120.0
-# How long to wait for the end once the caller wants no more.
+# How long to wait for the end once the caller has closed the iterator.
 END_S = 30.0
 # An event with its topic takes less. The buffer holds two seconds at the limit.
 _EVENT_BYTES = 100
@@ -57,8 +57,8 @@ class Began:
 class Finished:
     """The observation is over; with `is_clean` everything was taken off the target.
 
-    `lost_events` counts those that the kernel reports as lost; the gaps of the batches say when. `broken` is the reason
-    if the observation ended before its time: what was yielded before is then all there is. Otherwise it is empty.
+    `lost_events` counts those that the kernel reports as lost; the gaps of the batches show when. `broken` is the
+    reason if the observation ended early, and what was yielded before is then all; otherwise it is empty.
     """
 
     lost_events: int
@@ -135,7 +135,7 @@ class _Watching:
         self._loops = loops.names if loops is not None else ()
         self._for_s = for_s
         self._next_beat_s = 0.0
-        # Set again once the probes are placed: `for_s` counts from there.
+        # Set again once the probes are placed: `for_s` counts from then on.
         self._end_s = time.monotonic() + for_s + SET_UP_S
         self._arguments = (str(buffer_kb), str(limit_per_s), pattern(), *kernel_events)
         self._script = str(scripts / "watch_probes.sh")
@@ -146,7 +146,8 @@ class _Watching:
         self._stdin = "\n".join(lines).encode()
         self.is_over = threading.Event()
         self._connection: Connection | None = None
-        # How long nothing came, and how long the time has been over, without time in which this process was stopped.
+        # How long nothing has come, and how long the time has been over, without times in which this process was
+        # stopped.
         self._asked_s = 0.0
         self._quiet_s = self._over_s = 0.0
         self._is_ready = False
@@ -187,7 +188,7 @@ class _Watching:
             raise TargetError(f"{connection.address}: watch_probes.sh ended there before its time")
 
     def _feed(self) -> bytes | None:
-        """The input of the script: a line now and then shows it that somebody is there; None at the end.
+        """The input of the script: a line now and then shows that this process is alive; None at the end.
 
         Raises ConnectionLost if the script prints nothing any more, or does not end.
         """
@@ -220,7 +221,7 @@ class _Watching:
         if piece == b"":
             return
         while True:
-            # Once it is over, nobody takes pieces any more, and the target must not wait for each of them.
+            # Once it is over, pieces are no longer taken, and the target must not wait for each of them.
             is_over = self.is_over.is_set()
             with contextlib.suppress(queue.Full):
                 self._pieces.put(piece, timeout=0.0 if is_over else POLL_S)

@@ -48,7 +48,7 @@ _ROUND_MAX_S = 300.0  #: a round of an observation, or placing all probes
 _PAUSE_MAX_S = 10.0  #: a time of a round in which nothing came
 # Rounds whose marks for CLOCK_MONOTONIC_RAW wait for their lines, and marks of a round: watch_probes.sh makes 16.
 _RAW_ROUNDS_MAX, _RAW_MARKS_MAX = 16, 100
-# Marks that lie so near one another are near enough, and so are those that are not twice as far as ever.
+# Marks this close to one another are good enough, and so are those at less than twice the smallest distance so far.
 _RAW_WIDTH_NS = 40_000
 _PRINT = "print"
 _PROGRAMS = "programs"
@@ -64,9 +64,9 @@ class Batch:
     Recording began at `begin_ns`, which is 0 if that is not known yet.
 
     `kernel` are the kernel's own events: their names have a slash, as sched/sched_switch. Their values are those of
-    their format, and `common_flags` and `common_preempt_count`, decoded when asked for. `clocks` has how other clocks
-    stood, as far as the target shows it. `programs` are new, or their threads have changed; `ended` has the pids of
-    those that ended. Times are of CLOCK_MONOTONIC.
+    their format, and `common_flags` and `common_preempt_count`, decoded when asked for. `clocks` has the offsets of
+    other clocks, as far as the target shows them. `programs` are new, or their threads have changed; `ended` has the
+    pids of those that ended. Times are of CLOCK_MONOTONIC.
     """
 
     begin_ns: int
@@ -80,7 +80,7 @@ class Batch:
 
     @property
     def realtime_offset_ns(self) -> int | None:
-        """How far CLOCK_REALTIME is ahead of CLOCK_MONOTONIC at the end; None if the target does not show it."""
+        """By how much CLOCK_REALTIME is ahead of CLOCK_MONOTONIC at the end; None if the target does not show it."""
         return next((each.offset_ns for each in self.clocks if each.clock == SYSTEM), None)
 
 
@@ -111,7 +111,7 @@ class _WaitingRoom:
         self._events = self._bytes = 0
 
     def take(self, waiting: int, size_bytes: int) -> bool:
-        """Take room for one more event besides the `waiting` ones; False if there is none."""
+        """Reserve room for one more event besides the `waiting` ones; False if there is none."""
         if waiting >= self._events_max or self._bytes + size_bytes > self._bytes_max:
             return False
         self._events = waiting + 1
@@ -279,7 +279,7 @@ class WatchReader:
             if self._rounds > time.monotonic() - self._begin_s + _ROUNDS_AHEAD_MAX:
                 raise ValueError("rounds that follow one another faster than once in a second")
         elif word == "realtime":
-            # A clock that was never set may be behind.
+            # A clock that was never set may be behind the other.
             self._realtime_offset_ns = whole_number(rest, lowest=-WALL_TIME_MAX_NS, highest=WALL_TIME_MAX_NS)
         elif word == "unfollowed":
             self.unfollowed = max(self.unfollowed, whole_number(rest, lowest=1, highest=PID_MAX))
@@ -343,7 +343,7 @@ class WatchReader:
             identifier = page[start] | page[start + 1] << 8
             source = sources.get(identifier)
             if source is None:
-                # Somebody else switched this event on.
+                # Another program enabled this event.
                 continue
             tid = int.from_bytes(page[start + 4 : start + 8], "little")
             if source.kind is not None:
@@ -419,7 +419,7 @@ class WatchReader:
                 (after - before, before, at) for before, after, at in zip(marks[::2], marks[1::2], raw, strict=True)
             )
             self._raw_width_ns = min(width_ns, self._raw_width_ns or width_ns)
-            # What writes the marks may be kept from its CPU between any two.
+            # The writer of the marks may lose its CPU between any two of them.
             if 0 <= width_ns <= max(2 * self._raw_width_ns, _RAW_WIDTH_NS):
                 middle_ns = before_ns + width_ns // 2
                 yield ClockReading(RAW, middle_ns, at_ns - middle_ns)

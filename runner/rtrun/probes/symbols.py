@@ -1,4 +1,4 @@
-"""Where in a library's file a function begins, read from the file itself, which comes from a target.
+"""Where a function begins in a library's file, read from the file itself, which comes from a target.
 
 A probe is placed at an offset of the file. If the offset is not certain, there is a reason instead: a probe at any
 other place makes programs compute wrongly.

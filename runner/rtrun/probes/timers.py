@@ -1,8 +1,8 @@
 """Checks of what a probe read from a timer's own members, before it is passed on.
 
 The members are not part of any interface: a release that is not known here may have others there. The time at which the
-timer was to fire is passed on if it is whole periods after that of the call before. A period is passed on once that has
-shown it: a pointer taken for nanoseconds is a period of a day.
+timer was due is passed on if it is whole periods after that of the call before. A period is passed on once due times
+have confirmed it: a pointer that is taken for nanoseconds is a period of a day.
 """
 
 from collections.abc import Hashable

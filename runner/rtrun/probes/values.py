@@ -8,7 +8,7 @@ Values = dict[str, int | str]
 
 
 def recorded(arguments: Mapping[str, Argument]) -> dict[str, str]:
-    """What the kernel is to record of the arguments: each with its type, by its name in the event."""
+    """What the kernel must record of the arguments: the type of each, by its name in the event."""
     told: dict[str, str] = {}
     for name, argument in arguments.items():
         if isinstance(argument, Halves):

@@ -1,1 +1,1 @@
-"""Which functions of a library tell of messages, timers and callbacks: one file of data for each library."""
+"""Which functions of a library show messages, timers and callbacks: one file of data for each library."""

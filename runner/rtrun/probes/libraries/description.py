@@ -1,4 +1,4 @@
-"""What is known of each library with probes, whatever the target: `<name>.yml` next to this module.
+"""What is known about each library with probes, for every target: `<name>.yml` next to this module.
 
 The kernel places a probe at a function (Documentation/trace/uprobetracer.rst). The arguments that it records are
 written as tracefs takes them, for each architecture.
@@ -68,7 +68,7 @@ Argument = Fetch | Halves | Seconds | Named | Reduced | Bytes
 
 
 class Beside(Config):
-    """Another library of the same process, and a symbol in it that tells one release from another."""
+    """Another library of the same process, and a symbol in it that distinguishes one release from another."""
 
     library: str
     symbol: str
@@ -100,7 +100,7 @@ class Probe(Config):
 
 
 class Library(Config):
-    """A library whose functions tell what programs do."""
+    """A library whose functions show what programs do."""
 
     summary: str
     file: str
