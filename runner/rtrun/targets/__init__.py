@@ -1,1 +1,1 @@
-"""Where a campaign is measured: the target, the link to it, and the work on it before and after a run."""
+"""Where a campaign is measured: the target, the link to it, and what is done there before and after a run."""

@@ -200,7 +200,7 @@ def read_target(path: Path) -> TargetConfig:
 
 
 def names_file(path: Path) -> bool:
-    """Whether what somebody named as a target is a file, and not the login of a board."""
+    """Whether the name of a target is that of a file, not the login of a board."""
     return path.suffix in (".yml", ".yaml") or path.name != str(path) or path.is_file()
 
 

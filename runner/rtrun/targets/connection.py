@@ -66,7 +66,7 @@ class Connection:
             from rtrun.targets.ssh.ssh_shell import SshShell
 
             self.shell = SshShell(address, timeout_s=timeout_s)
-        # Whether large files are sent compressed; measured with the first one.
+        # Whether large files are sent compressed; the first one decides by measurement.
         self._is_compressing: bool | None = None
 
     def close(self) -> None:
@@ -132,7 +132,7 @@ class Connection:
             raise TargetError(f"{self.address}: cannot write {destination}: {_last_line(stderr)}{full}")
 
     def download(self, folder: PurePosixPath, sizes: Mapping[str, int], destination: Path) -> None:
-        """Copy files of a folder of the target into one here, all at once, compressed if that takes less time.
+        """Copy files of a folder of the target into a folder here, all at once, compressed if that takes less time.
 
         `sizes` are the sizes that the target has reported, by name. Raises TargetError when more arrives, or a file
         cannot be read or arrives with another checksum than it has on the target; ConnectionLost; InfrastructureError

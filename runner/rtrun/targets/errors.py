@@ -8,7 +8,7 @@ class TargetError(InfrastructureError):
 
 
 class ConnectionLost(TargetError):
-    """The connection broke; what runs on the target may go on. A new connection may succeed."""
+    """The connection broke; programs on the target may continue. A new connection may succeed."""
 
 
 class TargetGone(TargetError):

@@ -1,8 +1,7 @@
 """The processes of programs on the target: found and ended by the functions of on_target/processes.sh.
 
 These functions decide which processes belong to a program, because a number alone is not enough: the number of an ended
-process is given to another one, a file or an answer that was cut short holds another number, and ``kill -- -1`` ends
-everything.
+process is reused, a file or an answer that was cut short holds a wrong number, and ``kill -- -1`` ends everything.
 """
 
 from pathlib import Path

@@ -102,7 +102,7 @@ class LocalShell:
 def _interrupt_held() -> Iterator[Callable[[], None]]:
     """Hold Ctrl-C back until the yielded function is called: within Popen it is not known yet what was started.
 
-    Blocking the signal would not do: another thread would take it, or the started program would have it blocked.
+    Blocking the signal does not work: another thread would take it, or the started program would inherit the block.
     """
     if threading.current_thread() is not threading.main_thread():
         # In Python only the main thread handles signals.

@@ -99,9 +99,9 @@ done
 exit 0
 """
 )
-# For a program that puts something right at its end.
+# For a program that restores something at its end.
 _PATIENT = "TERM:20 KILL:10"
-# For a load, which has nothing to put right: a worker of stress-ng --vm ends only after its pass over the memory.
+# For a load, which has nothing to restore: a worker of stress-ng --vm ends only after its pass over the memory.
 _IMPATIENT = "TERM:2 KILL:10"
 LIKE_CTRL_C = "INT:100 TERM:50 KILL:20"
 """For a driver that stops its motors: first the signal of Ctrl-C."""
@@ -160,7 +160,7 @@ write_if_absent ended_early "$early"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ended:
-    """What the end of a run found.
+    """What was found when a run was ended.
 
     `early` are the background programs that ended before the suite, name to exit status; empty: there is no status.
     `service` is the identity of the middleware's service when the suite had ended, as it was first seen.
@@ -176,7 +176,7 @@ class Ended:
 class Following:
     """Files of one line in the folder of a program that is waited for: every FOLLOW_S each line goes to `take`.
 
-    `take` gets the name of the file and its line. Nobody has checked the line.
+    `take` gets the name of the file and its line, which is unchecked.
     """
 
     files: Sequence[str]
@@ -340,8 +340,8 @@ def end_background(
 ) -> Ended:
     """End the background programs of a suite whose `programs` have ended, then run the commands `then`.
 
-    The `loads` are killed soon, the `others` get time to put right what they changed. Those that are also in `first`
-    are ended before the loads. `service` is the present identity of the middleware's service. If no programs of a suite
+    The `loads` are killed soon, the `others` get time to restore what they changed. Those that are also in `first` are
+    ended before the loads. `service` is the present identity of the middleware's service. If no programs of a suite
     measure, every background program that has ended on its own has ended early.
     """
     keep_end = ["sh", "-c", _KEEP_END, "sh", str(folder), service, " ".join(programs), *loads, *others]

@@ -13,7 +13,7 @@ from rtrun.targets.address import Address, ThisMachine
 from rtrun.targets.errors import TargetError
 from rtrun.targets.shell import CHUNK_BYTES, Shell
 
-# Smaller files arrive before it is known whether compressing pays: 0.3 s at 100 Mbit/s.
+# Smaller files arrive before a measurement could show whether compressing pays: 0.3 s at 100 Mbit/s.
 LARGE_BYTES = 4 * 1024 * 1024
 # Two pieces of a large file are used to measure: its beginning plain, then as much compressed.
 _PIECE_BYTES = 2 * 1024 * 1024
@@ -24,7 +24,8 @@ _FAST_RATE = 50e6  # bytes/s
 # not worth the target's processor time.
 _WORTH = 1.25
 # The checksums are made while the files are sent. They detect accidents on both disks: SSH protects the transfer, and
-# whoever can change a file can change its checksum. So MD5 will do; SHA-256 takes a target several times as long.
+# an attacker who can change a file can change its checksum. So MD5 is enough; SHA-256 takes a target several times as
+# long.
 _READ = """
 cd "$1" || exit 1
 from=$2

@@ -39,8 +39,8 @@ def check_restart(target: Target, kernels: Collection[KernelName] = ()) -> None:
 def restart(link: Link, kernel: KernelName | None = None) -> None:
     """Restart the target, into a kernel if one is named, and wait until it answers with another boot.
 
-    What was started there is gone. Raises UsageError when it cannot be restarted like this, TargetError when it goes on
-    with the same boot or does not come back. The caller checks which kernel runs afterwards.
+    Programs that were started there are gone. Raises UsageError when it cannot be restarted like this, TargetError when
+    it stays in the same boot or does not come back. The caller checks which kernel runs afterwards.
     """
     check_restart(link.target, () if kernel is None else (kernel,))
     if kernel is not None:

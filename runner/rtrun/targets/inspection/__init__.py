@@ -1,1 +1,1 @@
-"""What a target is: its facts, and what on it hinders real-time programs."""
+"""What a target is: its facts, and what hinders real-time programs there."""

@@ -1,4 +1,4 @@
-"""What a target has, asked before a campaign, and its state before and after every run."""
+"""What a target has, inspected before a campaign, and its state before and after every run."""
 
 import gzip
 import re
@@ -155,7 +155,7 @@ class Equipment:
 
 
 def inspect(link: "Link") -> Equipment:
-    """Look for tools, middlewares and installed suites, once the work folder is ours alone.
+    """Find tools, middlewares and installed suites, once the work folder is ours alone.
 
     Raises TargetError naming what is missing and the remedy.
     """
@@ -207,7 +207,8 @@ def _lines_by_name(text: str, known: Collection[str]) -> dict[str, list[str]]:
 
 
 def _installed(target: "Target", facts: Mapping[str, Sequence[str]]) -> Installed:
-    """What a target has of a middleware; if there are several and its file names none, the files that set them up."""
+    """What a target has of a middleware; if several are installed and its file selects none, the files that set them
+    up."""
     setups = facts.get("setup", [])
     if target.setup is None and len(setups) > 1:
         return Installed(several=tuple(setups))

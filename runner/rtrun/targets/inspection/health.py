@@ -1,4 +1,4 @@
-"""Whether a board is fit for measuring at all: the check of `rtrun farm --check`."""
+"""Whether a board can measure at all: the check of `rtrun farm --check`."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""The runner's folder on a target: made, and used only if nobody else can change what is run from it."""
+"""The runner's folder on a target: it is made, and used only if nobody else can change the programs in it."""
 
 from typing import TYPE_CHECKING
 
@@ -37,7 +37,7 @@ def make(link: "Link") -> None:
             f"write to in a target file, as 'work_dir: {own}', or log in as root"
         )
     above = not why.startswith((f"{folder} ", "/ "))
-    # Whoever has a file open can write to it, even after its rights were changed.
+    # A program that has a file open can write to it even after its rights were changed.
     remedy = ", or take that right away (chown, chmod go-w)" if above else "; to take that right away is not enough"
     raise TargetError(
         f"{address}: {folder}: others could replace what {user} runs from there: {why}: name a new folder where nobody "

@@ -1,4 +1,4 @@
-"""Boards of a labgrid farm: a place is acquired for as long as its context lasts, and given back whatever happens.
+"""Boards of a labgrid farm: a place is acquired while its context lasts, and given back whatever happens.
 
 Changes at the coordinator are made by labgrid's own client, in a process of its own. A shell gives the place back when
 the runner closes the shell's standard input, or when the runner is gone, however it ended.
@@ -196,7 +196,7 @@ def _reserve_and_acquire(
             is_held = all(place.holder for place in fitting)
             if is_held and wanted.is_check:
                 raise TargetGone(", ".join(f"held by {place.holder}" for place in fitting))
-            # If several ask at the same time, all of them see the place free. Whoever has to wait finds out by waiting.
+            # If several ask at the same time, all of them see a free place. Only waiting shows who has to wait.
             if is_held and say_at is not None:
                 notify(_holders(fitting))
                 say_at = None

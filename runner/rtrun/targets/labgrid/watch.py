@@ -12,11 +12,11 @@ WATCH_S = 10.0
 
 @contextlib.contextmanager
 def watching(client: LabgridClient, name: str, notify: Callable[[str], None], *, is_ours: bool) -> Iterator[None]:
-    """While the context lasts, report once what is wrong with an acquired place, and once that it is well again.
+    """While the context lasts, report once what is wrong with an acquired place, and once that it is right again.
 
-    Measuring needs neither coordinator nor exporter, so it goes on. A restarted coordinator does not know who had a
-    place (labgrid 26). So a place that is ours, and was not acquired by the user before, is acquired again, so that
-    nobody else takes it.
+    Measuring needs neither coordinator nor exporter, so it continues. A restarted coordinator does not know who had a
+    place (labgrid 26). So a place that is ours is acquired again, unless the user had acquired it before: otherwise
+    others might take it.
     """
     ended = threading.Event()
 

@@ -34,7 +34,7 @@ class Kvm(Config):
 
 
 class Emulator(Config):
-    """How QEMU is called for this board. Arguments for KVM come after the others and win over them."""
+    """How QEMU is called for this board. Arguments for KVM come after the others and override them."""
 
     binary: str
     arguments: list[str]

@@ -235,7 +235,7 @@ def check_host_key(address: Address, key: "paramiko.PKey", known: HostKeys) -> N
 
 
 def _remedy(address: Address, shown: str) -> str:
-    """How to make a host key known, once somebody has compared it."""
+    """How to make a host key known, once the user has compared it."""
     files = [str(path.expanduser()) for path in address.known_hosts]
     if not address.is_jump:
         listing = f" or add the host to {' and '.join(files)}" if files else ""

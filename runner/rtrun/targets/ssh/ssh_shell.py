@@ -129,7 +129,7 @@ class SshShell:
         deadline = time.monotonic() + deadline_s
         stderr = Collector(OUTPUT_BYTES_MAX)
         # The first line is the process to kill when time is up: sshd starts each command in a session of its own. The
-        # secret in its environment tells it from any other process of that number.
+        # secret in its environment distinguishes it from any other process of that number.
         stdout = _FirstLineApart(take)
         with self._within(deadline_s + GRACE_S), self._session() as channel:
             channel.settimeout(deadline_s)
