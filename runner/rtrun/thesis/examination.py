@@ -1,4 +1,4 @@
-"""What an examiner of a claim works with: its result, the choice of groups and pairs, and their comparison."""
+"""The tools of the examiners of claims: results, the choice of groups and pairs, and their comparison."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -18,11 +18,11 @@ from rtrun.kinds.kind import MeasurementKind
 from rtrun.plan.short_names import format_parameters
 from rtrun.plan.suites import is_real_time, kind_of
 
-# Fewer runs a side do not show how much runs differ anyway.
+# Fewer runs a side do not show how much runs differ without a cause.
 LEAST_RUNS = 5
 # "Never" is confirmed when P is below it: 3689 measurements without one at 95 %.
 NEVER_BELOW = 1e-3
-# The least effect that confirms a claim which names none.
+# The least effect that confirms a claim that names none.
 _LEAST_PART = 0.05
 
 
@@ -66,7 +66,7 @@ def runs_of(groups: Iterable[Group]) -> tuple[str, ...]:
 
 
 def pairs(groups: list[Group], key: str, a: object, b: object) -> Iterator[tuple[Group, Group]]:
-    """Groups that are alike but for one parameter, which is `a` in the first and `b` in the second."""
+    """Pairs of groups that differ only in one parameter, which is `a` in the first and `b` in the second."""
     for first in groups:
         for second in groups:
             if (first.parameters.get(key), second.parameters.get(key)) == (a, b) and _rest(first, key) == _rest(
@@ -110,10 +110,11 @@ def examine_shift(
 ) -> ClaimResult:
     """Decide a claim that a figure ("mean" or "p99") moves in the direction of `sign` in every pair of groups.
 
-    The claimed effect, `least_ns` or a part of the first group's figure, is the least that confirms; below it the claim
-    is refuted. A claim without one is confirmed by 5 % and refuted by a shift against it. Runs are the units: a pair
-    counts with five runs a side that were measured in turn. Confirmed when every pair shows it (each at the level of
-    the study, no correction needed); refuted when one pair shows the contrary, after Holm over all pairs.
+    The claimed effect, `least_ns` or a part of the first group's figure, is the least that confirms; a smaller one
+    refutes. A claim that names no effect is confirmed by 5 % and refuted by a shift in the other direction. Runs are
+    the units: a pair counts with five runs a side that were measured in turn. Confirmed when every pair shows it (each
+    at the level of the study, no correction needed); refuted when one pair shows the contrary, after Holm over all
+    pairs.
     """
     effects: list[tuple[tuple[Group, Group], Effect]] = []
     left_out: list[Group] = []

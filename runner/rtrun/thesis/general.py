@@ -33,7 +33,7 @@ _BROADER_NS = 300_000  # of the claim: from about 200 to about 500 us
 
 
 def peaks_random(study: Study) -> ClaimResult:
-    """The highest values of each run lie anywhere: spread evenly, and at no fixed distance."""
+    """The highest values of each run lie anywhere: they are evenly spread, and at no fixed distance."""
     by_run: dict[str, JudgedDigest] = {}
     for d in slowest([d for group in study.as_in_2014 for d in group.digests]):
         if kind_of(d.header.suite) and d.n >= 1000 and any(entry.index is not None for entry in d.figures.top):

@@ -11,7 +11,7 @@ _SHOWN = ("min", "mean", "max")
 
 
 def published_figures(study: Study) -> Table:
-    """What was measured as in 2014, beside the figures of its published row; no row where nothing was."""
+    """Measurements like those of 2014, next to the published figures; no row without measurements."""
     of_table, others = oneshot_rows(), message_rows()
     matched = [(row, group) for group in study.as_in_2014 for row in (*of_table, *others) if row.is_like(group)]
     measured = sum(any(map(row.is_like, study.as_in_2014)) for row in of_table)

@@ -35,7 +35,8 @@ _DEADLINE_NS = THESIS.limit_ns
 
 
 def oneshot_sub_millisecond(study: Study) -> ClaimResult:
-    """If 1 ms is waited whatever was asked, no latency is below 1 ms - timeout, and the mean grows by that much."""
+    """If every timer waits 1 ms whatever its timeout, no latency is below 1 ms - timeout, and the mean grows by that
+    much."""
     groups = [group for group in select(study.as_in_2014, ONESHOT) if 0 < _number(group, "timeout_us") < 1000]
     if not groups:
         return no_runs("one-shot run with a timeout below 1 ms")
@@ -161,7 +162,7 @@ def cyclic_negative_cluster(study: Study) -> ClaimResult:
     if low > 0.05 and near:
         finding = Finding.CONFIRMED
     else:
-        # Less than a tenth of the share that was claimed is another phenomenon than "about 12 %".
+        # Less than a tenth of the claimed share is another phenomenon than "about 12 %".
         finding = Finding.REFUTED if high < 0.012 or (low > 0.05 and not near) else Finding.UNDECIDED
     where = f", medians {time(min(places))} to {time(max(places))}" if places else ""
     return ClaimResult(
@@ -194,7 +195,7 @@ def cyclic_first_two_negative(study: Study) -> ClaimResult:
 
 
 def cyclic_frequency_kept(study: Study) -> ClaimResult:
-    """The last call comes within one period of where it belongs: the jitter adds up to nothing."""
+    """The last call comes within one period of its due time: the jitter does not add up."""
     groups = [group for group in select(study.as_in_2014, CYCLIC) if _number(group, "frequency_hz")]
     drifts = []
     for group in groups:
