@@ -51,7 +51,7 @@ def table(standings: Sequence[Standing]) -> Table:
 
 
 def reasons(standings: Sequence[Standing]) -> Iterator[str]:
-    """What each answer holds for, or lacks: for below the table, a line for all groups of which it says the same."""
+    """What each answer holds for, or lacks: lines for below the table, one for all groups with the same text."""
     by_reason: dict[str, list[str]] = {}
     for standing in standings:
         verdict = standing.verdict

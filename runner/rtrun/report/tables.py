@@ -82,7 +82,7 @@ class Table:
             max([_word(heading), *map(len if place in self.numbers else _word, cells)])
             for place, (heading, *cells) in enumerate(columns)
         ]
-        # What the rows are called stands alone, before their numbers, unless that takes more lines.
+        # The names of rows have a line of their own, before their numbers, unless that takes more lines.
         names = next((place for place in range(len(least)) if place in self.numbers), 0)
         is_narrow = self._width(dict(enumerate(least))) > width
         bands = min((self._divided(least, width, last) for last in ([names, 0] if is_narrow else [0])), key=len)
@@ -99,7 +99,7 @@ class Table:
         return bands
 
     def _divided(self, least: Sequence[int], width: float, end: int) -> list[tuple[int, dict[int, int]]]:
-        """Lines for columns of these least widths, each as full as it may be; no line goes on at the column `end`."""
+        """Lines for columns of these least widths, each as full as possible; a line ends at the column `end`."""
         bands: list[tuple[int, dict[int, int]]] = [(0, {})]
         for place, word in enumerate(least):
             indent, widths = bands[-1]

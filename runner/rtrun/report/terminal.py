@@ -165,7 +165,7 @@ def _lost(header: Header) -> list[str]:
 
 
 def remarks_of(header: Header) -> list[str]:
-    """Why fewer were measured than asked for, and what the file lacks or stated wrongly, one sentence each."""
+    """Why fewer values were measured than requested, and what the file lacks or stated wrongly, one sentence each."""
     return [f"incomplete: {header.incomplete}"] * (header.incomplete is not None) + list(header.remarks)
 
 

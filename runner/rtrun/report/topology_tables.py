@@ -1,4 +1,4 @@
-"""What became of the messages and nodes of topologies: tables of a report."""
+"""Tables of a report on the messages and nodes of topologies."""
 
 from collections.abc import Sequence
 

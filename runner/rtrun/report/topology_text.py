@@ -42,7 +42,7 @@ def _processes(topology: Topology) -> str:
 
 
 def drawing(topology: Topology) -> Iterator[str]:
-    """The graph: each line follows messages from node to node until one that was drawn before; each arrow once."""
+    """The graph: each line follows messages from node to node, up to a node that was drawn before; each arrow once."""
     started: set[str] = set()
     for node in (*topology.sources, *topology.nodes):
         for topic in node.outputs:
