@@ -62,7 +62,7 @@ def worse_courses(trends: Iterable[Trend], *, confidence: float) -> list[Alarm]:
 
 
 def of_no_concern(figure: str, level: float) -> float:
-    """By how much a figure may exceed this level without an alarm."""
+    """How much a figure may exceed this level without an alarm."""
     return 0.0 if figure == "P(miss)" else max(SHARE_OF_MARGIN * level, LEAST_MARGIN_NS)
 
 

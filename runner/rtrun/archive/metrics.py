@@ -33,7 +33,7 @@ _Sample = tuple[str, Mapping[str, str], float]
 
 
 def open_metrics(courses: Sequence[Course], boards: Sequence[BoardHealth], *, deadline_ns: int | None) -> str:
-    """The last run of every course, and the state of each board, in the text format of OpenMetrics 1.0.
+    """The last run of every course and the state of each board, in the text format of OpenMetrics 1.0.
 
     Times are in s; start times are seconds since 1970. Prometheus refuses a page in which two samples have the same
     labels. Names that differ only in a control character give equal labels; the highest such sample counts.

@@ -200,7 +200,7 @@ def _check_utf8(path: str) -> None:
 
 @contextmanager
 def _naming(store: Store, what: str) -> Iterator[None]:
-    """Turn whatever a file system raises into an InfrastructureError of one line."""
+    """Turn any error of a file system into an InfrastructureError of one line."""
     try:
         yield
     except (UsageError, InfrastructureError):
