@@ -46,7 +46,8 @@ class StreamKind:
 
     `overdue` is a sentence about a value that had not come at the end, with the time for which it was awaited.
 
-    `is_shown`: it is shown while observed, even without a deadline. `is_traced`: its late values can have a trace.
+    `is_shown`: it is shown while observed, even without a deadline. A line of what was observed so far counts its
+    streams and its values by `live_words`; an empty word counts nothing. `is_traced`: its late values can have a trace.
     `is_of_topologies`: only the nodes of a topology can report it, since they write down when they were due.
     """
 
@@ -68,6 +69,7 @@ class StreamKind:
     has_period: bool = False
     overdue: str = ""
     is_shown: bool = False
+    live_words: tuple[str, str] = ("", "")
     is_traced: bool = False
     is_of_topologies: bool = False
 

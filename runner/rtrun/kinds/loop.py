@@ -36,6 +36,7 @@ STREAM = StreamKind(
     at="running_ns",
     overdue="it was due {} ago and has not run, though its program lives",
     is_shown=True,
+    live_words=("loop", "activation"),
     is_traced=True,
 )
 KIND = MeasurementKind(

@@ -77,6 +77,7 @@ STREAM = StreamKind(
     filled={"callback_end_ns": NOT_SEEN_NS},
     overdue="nothing of what was published in the last {} was taken, though both programs live",
     is_shown=True,
+    live_words=("", "message"),
     is_traced=True,
 )
 KIND = MeasurementKind(

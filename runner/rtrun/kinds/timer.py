@@ -77,6 +77,7 @@ STREAM = StreamKind(
     has_period=True,
     overdue="a call was due {} ago and did not come, though its program lives: it hangs, or was cancelled",
     is_shown=True,
+    live_words=("timer", ""),
     is_traced=True,
 )
 KIND = MeasurementKind(

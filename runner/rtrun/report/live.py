@@ -7,9 +7,7 @@ from rtfiles.output import console, counted, print_line, printable, shortened
 from rtfiles.quantities import duration, grouped, time
 from rtrun.flows.live import LiveRow, Snapshot, worst_first
 from rtrun.kinds.kind import StreamKind
-from rtrun.kinds.loop import STREAM as LOOP
-from rtrun.kinds.messages import STREAM as MESSAGES
-from rtrun.kinds.timer import STREAM as TIMER
+from rtrun.kinds.known import STREAMS
 from rtrun.report.tables import Table
 
 if TYPE_CHECKING:
@@ -60,14 +58,14 @@ def _cells(row: LiveRow) -> tuple[str, ...]:
 def live_line(snapshot: Snapshot) -> str:
     """The same in one line: how much there is, and the worst value of what has a deadline, by name."""
     rows = _shown(snapshot)
-    messages = [row for row in rows if row.kind is MESSAGES]
-    parts = [
-        f"{duration(snapshot.observed_s)}: {counted(sum(row.n for row in messages), 'message')}",
-        f"{sum(row.lost or 0 for row in messages)} lost",
-        counted(sum(row.kind is TIMER for row in rows), "timer"),
-    ]
-    if loops := [row for row in rows if row.kind is LOOP]:
-        parts.append(f"{counted(len(loops), 'loop')} with {counted(sum(row.n for row in loops), 'activation')}")
+    parts = []
+    for kind in STREAMS.values():
+        alike = [row for row in rows if row.kind is kind]
+        numbers = zip((len(alike), sum(row.n for row in alike)), kind.live_words, strict=True)
+        if words := [counted(number, word) for number, word in numbers if word and alike]:
+            parts.append(" with ".join(words))
+            if lost := [row.lost for row in alike if row.lost is not None]:
+                parts.append(f"{sum(lost)} lost")
     with_deadline: dict[tuple[StreamKind, str], list[LiveRow]] = {}
     for row in rows:
         if row.misses is not None:
@@ -76,7 +74,7 @@ def live_line(snapshot: Snapshot) -> str:
         worst_ns = max((row.worst_ns for row in alike if row.worst_ns is not None), default=None)
         worst = "no value yet" if worst_ns is None else f"worst {time(worst_ns)}"
         parts.append(f"{kind.name(name)}: {worst}, misses {sum(row.misses or 0 for row in alike)}")
-    return ", ".join((*parts, *snapshot.remarks))
+    return f"{duration(snapshot.observed_s)}: {', '.join((*(parts or ['nothing yet']), *snapshot.remarks))}"
 
 
 def live_json(snapshot: Snapshot) -> str:

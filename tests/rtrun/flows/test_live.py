@@ -172,5 +172,5 @@ def test_a_deadline_of_what_cannot_be_is_refused(text):
 
 def test_nothing_is_seen_yet():
     snapshot = LiveFigures(FlowAccumulator(begin_ns=0)).snapshot(0)
-    assert live_line(snapshot) == "0 s: 0 messages, 0 lost, 0 timers"
+    assert live_line(snapshot) == "0 s: nothing yet"
     Console(file=io.StringIO()).print(live_table(snapshot, 80, 24))
