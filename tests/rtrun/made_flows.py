@@ -27,8 +27,8 @@ def program(pid, argv=("/opt/lib/talker",), start_ticks=100, threads=(), librari
     )
 
 
-def node(pid, name, **told):
-    return program(pid, ("/opt/lib/node", "--ros-args", "-r", f"__node:={name}"), **told)
+def node(pid, name, **facts):
+    return program(pid, ("/opt/lib/node", "--ros-args", "-r", f"__node:={name}"), **facts)
 
 
 def hit(at_ns, event, *, pid=1, tid=None, cpu=0, **values):
@@ -110,7 +110,7 @@ class System:
             used.add(time_ns)
             return time_ns
 
-        made = []
+        hits = []
         newest = {}
         for sender in (life for life in self.lives if life.publishes):
             time_ns = sender.from_ns + chance.randrange(sender.period_ns)
@@ -119,7 +119,7 @@ class System:
                 payload = (chance.randrange(sender.payloads), 7, 16) if sender.payloads else None
                 sent = publish_bytes(published_ns, payload, pid=sender.pid) if payload else None
                 sent = sent or publish(published_ns, pid=sender.pid)
-                made.append((sent, sender, published_ns, None))
+                hits.append((sent, sender, published_ns, None))
                 for receiver in (life for life in self.lives if not life.publishes):
                     if chance.random() < self.loss:
                         continue
@@ -138,23 +138,23 @@ class System:
                         error = chance.randint(-self.stamp_error_ns, self.stamp_error_ns)
                         got = take_bytes(taken_ns, payload, pid=receiver.pid) if payload else None
                         got = got or take(taken_ns, published_ns + error, pid=receiver.pid)
-                        made.append((got, sender, published_ns, receiver))
+                        hits.append((got, sender, published_ns, receiver))
                 time_ns += round(sender.period_ns * chance.uniform(0.5, 1.5))
-        return sorted((one for one in made if one[0].at_ns < self.until_ns), key=lambda one: one[0].at_ns)
+        return sorted((entry for entry in hits if entry[0].at_ns < self.until_ns), key=lambda entry: entry[0].at_ns)
 
     def observe(self, gaps=(), begin_ns=BEGIN_NS, horizon_ns=HORIZON_NS, chunk_ns=S):
         """An accumulator that saw it, and the truth about what it could see."""
         observed = FlowAccumulator(begin_ns=begin_ns, horizon_ns=horizon_ns)
         truth = Truth()
         chunks = defaultdict(list)
-        for one, sender, published_ns, receiver in self.hits():
-            if one.at_ns < begin_ns or any(gap.from_ns <= one.at_ns < gap.until_ns for gap in gaps):
+        for event, sender, published_ns, receiver in self.hits():
+            if event.at_ns < begin_ns or any(gap.from_ns <= event.at_ns < gap.until_ns for gap in gaps):
                 continue
-            chunks[one.at_ns // chunk_ns].append(one)
+            chunks[event.at_ns // chunk_ns].append(event)
             if receiver is None:
                 truth.published[sender.label].append(published_ns)
             else:
-                truth.taken[sender.label, receiver.label][published_ns].append(one.at_ns)
+                truth.taken[sender.label, receiver.label][published_ns].append(event.at_ns)
                 truth.takes[receiver.label] += 1
         for gap in gaps:
             chunks[gap.from_ns // chunk_ns].append(gap)
@@ -170,8 +170,8 @@ class System:
         return [node(life.pid, life.label.strip("/"), start_ticks=life.start_ticks) for life in living]
 
 
-def talker(label="/talker", pid=1, from_ns=BEGIN_NS - 5 * S, until_ns=BEGIN_NS + 30 * S, start_ticks=100, **told):
-    return Life(label, pid, from_ns, until_ns, start_ticks, True, **told)
+def talker(label="/talker", pid=1, from_ns=BEGIN_NS - 5 * S, until_ns=BEGIN_NS + 30 * S, start_ticks=100, **facts):
+    return Life(label, pid, from_ns, until_ns, start_ticks, True, **facts)
 
 
 def listener(label="/listener", pid=2, from_ns=BEGIN_NS - 5 * S, until_ns=BEGIN_NS + 30 * S, start_ticks=100):

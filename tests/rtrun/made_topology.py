@@ -32,7 +32,7 @@ def made_topology(topology: Topology, **changed: Any) -> TopologyRecord:
         (topic, node, taker) for node in topology.nodes for topic in node.outputs for taker in topology.takers[topic]
     ]
     paths = [path for named in topology.paths for path in topology.paths_of(named.topics)] or topology.all_paths()[:8]
-    made: dict[str, Any] = {
+    parts: dict[str, Any] = {
         "nodes": [
             NodeFigures(
                 node=node.name,
@@ -66,7 +66,7 @@ def made_topology(topology: Topology, **changed: Any) -> TopologyRecord:
             for path in paths
         ],
     }
-    return TopologyRecord(schema=1, topology=topology, **(made | changed))
+    return TopologyRecord(schema=1, topology=topology, **(parts | changed))
 
 
 def spread(median_ns: int) -> Spread:

@@ -19,9 +19,9 @@ OUTPUT = "cyclic_timer_tests_l2500_fq500-tnRTRR"
 
 def events(text: str) -> list[Event]:
     """The events of lines, each of which must be read."""
-    made = list(parse(text.strip("\n").split("\n")))
-    assert None not in made
-    return [event for event in made if event is not None]
+    parsed = list(parse(text.strip("\n").split("\n")))
+    assert None not in parsed
+    return [event for event in parsed if event is not None]
 
 
 def line(us: int, event: str, *, cpu: int = 0, name: str = "x", pid: int = 9, flags: str = "d..2.") -> str:

@@ -231,7 +231,7 @@ def explained_in(run: Path, place: Place) -> Iterator[list[Explained]]:
     if refused:
         raise RuntimeError("\n".join(refused))
     for first in range(0, place.slices * place.repetitions, place.repetitions):
-        yield [one for one in explained if first <= one.outlier.index < first + place.repetitions]
+        yield [found for found in explained if first <= found.outlier.index < first + place.repetitions]
 
 
 def run_program(argv: list[str | Path]) -> str:
@@ -248,8 +248,8 @@ def run_program(argv: list[str | Path]) -> str:
 def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, bool]:
     """The row of a plant, and whether it was named, or nothing, often enough."""
     hits, named, outliers, beside, trials, untraced, others = 0, 0, 0, 0, 0, 0, []
-    with contextlib.closing(slices(plant, count, place, folder)) as made:
-        for explained in made:
+    with contextlib.closing(slices(plant, count, place, folder)) as explained_slices:
+        for explained in explained_slices:
             ranking = rank(explained)
             if plant.kind is not None and not ranking.outliers:
                 untraced += 1
@@ -257,10 +257,10 @@ def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, boo
             trials += 1
             # Beside a plant it must be the first of the ranking; beside none, nobody may be named.
             hits += plant.is_named(ranking.named if plant.kind is None else ranking.culprits[0])
-            during = [one for one in explained if one.parts and is_during(one.outlier, plant, place)]
+            during = [found for found in explained if found.parts and is_during(found.outlier, plant, place)]
             beside += ranking.outliers - len(during)
             outliers += len(during)
-            for alone in (rank([one]) for one in during):
+            for alone in (rank([found]) for found in during):
                 first = main_cause(alone) if plant.kind is not None else alone.named
                 # Whoever it is, several of a kind are as good as one.
                 is_named = plant.is_named(first) or (plant.who == ".*" and alone.named_kind is plant.kind)
@@ -273,7 +273,7 @@ def line(plant: Plant, count: int, place: Place, folder: Path) -> tuple[str, boo
     names = {who: " or ".join(f"`{name}`" for name in who.split("|")) for _, who in plant.expected}
     culprits = [str(kind) if who == ".*" else f"{kind} {names[who]}" for kind, who in plant.expected]
     expected = " or ".join(culprits) or "nobody"
-    otherwise = "; ".join(f"{others.count(one)} x {one}" for one in dict.fromkeys(others))
+    otherwise = "; ".join(f"{others.count(name)} x {name}" for name in dict.fromkeys(others))
     numbers = (named, outliers, beside, hits, trials, untraced)
     row = f"| {plant.about} | {expected} | {' | '.join(map(str, numbers))} | {otherwise} |"
     # Beside nothing, single outliers have causes of their own.
@@ -293,12 +293,12 @@ def is_during(outlier: Outlier, plant: Plant, place: Place) -> bool:
 
 def main_cause(ranking: Ranking) -> Culprit | None:
     """What took more than half of the one outlier of a ranking."""
-    return next((one for one in ranking.culprits if one.main), None)
+    return next((culprit for culprit in ranking.culprits if culprit.main), None)
 
 
-def without_ids(said: str) -> str:
+def without_ids(text: str) -> str:
     """The same for processes of one name."""
-    return re.sub(r"pid \d+(, )?", "", said).replace(" ()", "")
+    return re.sub(r"pid \d+(, )?", "", text).replace(" ()", "")
 
 
 def main() -> int:
@@ -309,7 +309,11 @@ def main() -> int:
     parser.add_argument("--only", default="", help="the culprits of these names, as lock,equal")
     parser.add_argument("--keep", type=Path, help="the folder for results, which stay")
     args = parser.parse_args()
-    plants = [one for one in PLANTS if args.place in one.places and (not args.only or one.name in args.only.split(","))]
+    plants = [
+        plant
+        for plant in PLANTS
+        if args.place in plant.places and (not args.only or plant.name in args.only.split(","))
+    ]
     # Whatever ends this program, no plant stays behind.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     start_s, failed = time.monotonic(), 0
