@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         values |= _kernels(link)
         _write(output, values)
         print_line(f"{output}: target {name} ({link.target.address})")
-        lacks = _lacks(link)
+        lacks = _lacks(link, output)
         print_line(_readiness(link, output))
     for line in lacks:
         print_line(f"the board lacks {line}")
@@ -128,8 +128,10 @@ def _write(output: Path, values: dict[str, Any]) -> None:
     atomic.write_named(output, yaml.safe_dump(values, sort_keys=False, allow_unicode=True).encode())
 
 
-def _lacks(link: "Link") -> list[str]:
-    """Return what the board lacks for campaigns."""
+def _lacks(link: "Link", file: Path) -> list[str]:
+    """Return what the board of a target file lacks for campaigns."""
+    import shlex
+
     from rtfiles.invocation import as_called
     from rtrun.plan import conditions, suites
     from rtrun.targets.errors import TargetError
@@ -149,8 +151,8 @@ def _lacks(link: "Link") -> list[str]:
         needed = {program for suite in suites.suites().suites.values() for program in suite.programs}
         if missing := sorted(needed - set(equipment.programs)):
             lacks.append(
-                f"{', '.join(missing)}: build them with {as_called('rtgen')} suites build, and name the folder that it "
-                "prints as suites in the target file, or build them on the board (docs/targets.md)"
+                f"{', '.join(missing)}: build them there with {as_called('rtgen')} suites build --on "
+                f"{shlex.quote(str(file))}, or here, where it has no compiler (docs/targets.md)"
             )
     tools = {program for baseline in suites.baselines().suites.values() for program in baseline.programs}
     for name in conditions.conditions().conditions:

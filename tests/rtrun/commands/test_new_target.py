@@ -47,7 +47,7 @@ def test_by_options(home, options, shown, sshd, capsys, monkeypatch):
     lacks = [line for line in lines[2:] if line.startswith("the board lacks ")]
     # No suites are installed in the folders of a package here.
     assert status == 0 and lacks == lines[2:]
-    assert any("cyclic_timer_tests" in line and "rtgen suites build" in line for line in lacks)
+    assert any("cyclic_timer_tests" in line and "rtgen suites build --on board.yml" in line for line in lacks)
     assert yaml.safe_load(Path("board.yml").read_text()) == {
         "schema": 1,
         "name": "board",
