@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rtrun.plan.run import Run
     from rtrun.targets.config import TargetConfig
 
-HELP = "measure programs that run already, unmodified: messages, timers, callbacks, reaction times, loops"
+HELP = "measure programs that run already, unmodified: messages, timers, callbacks, services, reaction times, loops"
 EXAMPLES = (
     "rtrun observe --target robot.yml --list",
     "rtrun observe --target robot.yml --for 60s --deadline /cmd_vel=5ms",
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="STREAM=TIME",
         help="of messages /cmd_vel=5ms, of a path /a,/b=9ms; timer:/node=1ms, callback:/node=1ms, interval:/scan=50ms, "
-        "loop:PROGRAM=200us, loop-response:PROGRAM=700us",
+        "service:/grasp=20ms, loop:PROGRAM=200us, loop-response:PROGRAM=700us",
     )
     parser.add_argument(
         "--path",

@@ -38,7 +38,7 @@ NOTHING = "no program runs there that uses ROS, and no thread with a real-time p
 NO_ADDRESSES = "no loop is measured: the kernel hides the addresses of its functions (kernel.kptr_restrict)"
 KEPT_FIRST = "what was observed is kept first; Ctrl-C once more ends rtrun at once"
 # Recorded only for paths of topics and causes of late values, because each message has several of them.
-OF_PATHS = ("wait", "guard_trigger", "request_take", "response_take")
+OF_PATHS = ("wait", "guard_trigger")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from rtfiles.errors import InfrastructureError
 from rtfiles.output import listed
-from rtfiles.quantities import time
+from rtfiles.quantities import grouped, time
 from rtrun.execution import clock_record
 from rtrun.execution.late_values import LateValue, LateValues
 from rtrun.execution.observation import defect_in_words
@@ -36,8 +36,11 @@ from rtrun.targets.inspection.facts import TargetState, fact_text
 # Characters of a folder's name: room for a number and what tells streams apart, and file systems take it.
 _NAME_MAX = 100  # characters
 _NAMES_SHOWN = 8
+_TOPICS_SHOWN = 3
 # Parameters that name programs.
-_PARTIES = ("publisher", "subscriber", "node", "sink", "program")
+_PARTIES = ("publisher", "subscriber", "node", "sink", "program", "client", "server")
+# Those of them whose program has the values, where that is not all.
+_MEASURING = ("subscriber", "client")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -122,9 +125,11 @@ def write_streams(
             continue
         deadline_ns = facts.deadline_ns(output)
         if deadline_ns is not None and is_late(stream.open_ns, deadline_ns):
-            # The value that is still open is a miss, even if it comes later.
-            output = replace(output, asked=output.asked + 1, missing=output.missing + 1)
-            left_out.append(f"{_in_words(stream)}: {stream.kind.overdue.format(time(stream.open_ns))}")
+            # A value that is still open is a miss, even if it comes later.
+            more = sum(is_late(open_ns, deadline_ns) for open_ns in stream.more_open_ns)
+            output = replace(output, asked=output.asked + 1 + more, missing=output.missing + 1 + more)
+            others = f"; and {grouped(more)} more" * bool(more)
+            left_out.append(f"{_in_words(stream)}: {stream.kind.overdue.format(time(stream.open_ns))}{others}")
         # The run of the stream has its values. Those of all streams may be more than the memory holds.
         outputs.append(replace(output, columns={}, traced=()))
         with _noting(noted, _in_words(stream)):
@@ -136,7 +141,7 @@ def write_streams(
             why = (
                 text for stream, text in without_value if stream.kind is kind and kind.is_named(name, stream.identity)
             )
-            reason = f"{kind.word} {name}: {next(why, None) or _not_seen(kind, alike)}"
+            reason = f"{kind.word} {name}: {next(why, None) or _not_seen(kind, alike, outputs, facts)}"
             unseen.append(reason)
             nothing = ObservedOutput(
                 suite=kind.suite,
@@ -174,11 +179,29 @@ def put_aside(folder: Path) -> None:
                 run_directory.put_aside(path)
 
 
-def _not_seen(kind: StreamKind, outputs: Sequence[ObservedOutput]) -> str:
-    """Say that a stream was not seen, and which others of its kind were."""
-    seen = dict.fromkeys(str(output.parameters[kind.named_by]) for output in outputs)
-    others = f"; seen were {listed(seen, _NAMES_SHOWN)}" if seen else ""
-    return f"it was not seen{others}"
+def _not_seen(
+    kind: StreamKind, alike: Sequence[ObservedOutput], outputs: Sequence[ObservedOutput], facts: StreamFacts
+) -> str:
+    """Say that a stream was not seen, and by which names others of its kind were."""
+    seen = dict.fromkeys(str(output.parameters[kind.named_by]) for output in alike)
+    if not seen:
+        return "it was not seen"
+    if kind.named_by != "node":
+        return f"it was not seen; seen were {listed(seen, _NAMES_SHOWN)}"
+    nodes = listed([_described(name, outputs, facts) for name in seen], _NAMES_SHOWN)
+    return f"it was not seen; a node that ran before has the name of its program: name one of {nodes}"
+
+
+def _described(node: str, outputs: Sequence[ObservedOutput], facts: StreamFacts) -> str:
+    """The name of a node, with what people know it by: its process and its topics."""
+    pids = [f"pid {program.pid}" for program in facts.programs({"node": node}, ["node"])]
+    topics = dict.fromkeys(
+        str(output.parameters["topic"])
+        for output in outputs
+        if "topic" in output.parameters and node in (output.parameters.get(party) for party in _PARTIES)
+    )
+    words = "; ".join(filter(None, [", ".join(pids), listed(topics, _TOPICS_SHOWN)]))
+    return f"{node} ({words})" if words else node
 
 
 def _beside(folder: Path, output: ObservedOutput, shared: Mapping[str, Value], taken: set[str]) -> Path:
@@ -259,8 +282,8 @@ def _row_at(times_ns: Int64s, at_ns: int) -> int | None:
 def _write_run(folder: Path, facts: StreamFacts, output: ObservedOutput, *, reason: str | None = None) -> None:
     """Write and close the run of a stream; with a `reason`, it has failed."""
     programs = facts.programs(output.parameters, _PARTIES)
-    # The program that has the values: for messages, that of the subscriber.
-    measuring = facts.programs(output.parameters, ("subscriber",)) if "subscriber" in output.parameters else programs
+    has_values = [each for each in _MEASURING if each in output.parameters]
+    measuring = facts.programs(output.parameters, has_values) if has_values else programs
     name = folder.name
     updated: dict[str, Any] = {
         "run": name,

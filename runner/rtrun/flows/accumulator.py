@@ -10,6 +10,7 @@ from rtrun.flows.paths import PathRecord
 from rtrun.flows.process_table import ProcessTable
 from rtrun.flows.recorder import FlowRecorder
 from rtrun.flows.rows import RowStore
+from rtrun.flows.services import ServiceRecord
 from rtrun.flows.threads import CallbackLog, ObservedThread
 from rtrun.flows.timers import ClockOffsets
 from rtrun.flows.topics import TopicRecord
@@ -57,12 +58,14 @@ class FlowAccumulator:
         self.paths = PathRecord(paths, self.state.store)
         self.topics = TopicRecord(self.state, self.paths, horizon_ns, recorder)
         self.calls = CallRecord(self.state, recorder)
+        self.services = ServiceRecord(self.state)
         self.loops = LoopRecord(self.state, loops)
         self.turns = TurnRecord(on_turn, self.state) if on_turn is not None else None
         self._programs = ProcessTable(self.state)
         self._handlers: dict[str, Callable[[Hit, ObservedThread], None]] = {
             **self.topics.handlers,
             **self.calls.handlers,
+            **self.services.handlers,
             "wait": lambda _hit, thread: thread.waits(),
             "guard_trigger": lambda _hit, thread: thread.triggers_guard(),
         }

@@ -9,7 +9,7 @@ from rtfiles.output import counted, printable
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.observed.source import StreamSource
 from rtrun.flows.streams import OBSERVED
-from rtrun.kinds.kind import StreamKind
+from rtrun.kinds.kind import StreamKind, name_in_words
 from rtrun.kinds.known import STREAMS
 from rtrun.kinds.lateness import are_late
 from rtrun.kinds.values import Int64s
@@ -158,7 +158,7 @@ class LiveFigures:
         more, shown.before = new.rows - shown.before, new.rows
         return LiveRow(
             kind=kind,
-            name=printable(source.name),
+            name=printable(str(name_in_words(source.name))),
             of=printable(source.of),
             n=new.rows,
             rate_hz=more / passed_s if passed_s > 0 else 0.0,

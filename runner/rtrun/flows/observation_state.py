@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from rtrun.flows.programs import Handle, LivingProcess, Numbering, numbered
+from rtrun.flows.programs import Handle, LivingProcess, LivingThing, Numbering, numbered
 from rtrun.flows.rows import RowStore
 from rtrun.probes.hits import HITS_CLOCK
 
@@ -84,4 +84,13 @@ class ObservationState:
             argv = process.program.argv if process.program is not None else ()
             label = process.labels[name] = numbered(name, self.numbering.number(("process", name), process, argv))
         self.add_pid(label, process.pid)
+        return label
+
+    def label_of(self, thing: LivingThing, node: Handle | None, alike: tuple[str, str]) -> str:
+        """The label of a thing's node, with a number if others of its process are `alike` by their kind and name."""
+        label = self.label(thing.process, thing.process.node(node))
+        number = self.numbering.number((*alike, label), thing)
+        if number > 1:
+            label = f"{label} ({number})"
+            self.add_pid(label, thing.process.pid)
         return label

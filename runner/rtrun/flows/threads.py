@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from rtrun.flows.messages import Publication, Reception
 from rtrun.flows.programs import HandleTable, LivingProcess, LivingThing
+from rtrun.flows.requests import Request, Server
 from rtrun.flows.rows import RowStore
 from rtrun.flows.timers import LivingTimer, TimerCall
 
@@ -128,8 +129,8 @@ class ObservedThread:
     """
 
     __slots__ = (
-        "callbacks", "cause", "has_callbacks", "has_ended", "has_waited", "process", "published", "taken", "tid",
-        "triggers", "turn",
+        "callbacks", "cause", "has_callbacks", "has_ended", "has_waited", "process", "published", "request", "taken",
+        "tid", "took", "triggers", "turn",
     )  # fmt: skip
 
     def __init__(self, tid: int, process: LivingProcess) -> None:
@@ -151,6 +152,10 @@ class ObservedThread:
         self.turn: OpenTurn | None = None
         self.published: Publication | None = None
         """The publication that was its last hit, if that does not show its time stamp."""
+        self.request: Request | None = None
+        """What it has sent, until the number of that is seen."""
+        self.took: tuple[Server, int] | None = None
+        """The server for which it has looked for a request since it took anything else, and when."""
         self.triggers: int | None = None
         """Since the last message was taken; None: it was never seen to trigger, so it may not be rclpy."""
         self.taken: int | None = None
@@ -164,6 +169,7 @@ class ObservedThread:
 
     def takes(self, reception: Reception) -> None:
         self.turns_to(reception)
+        self.took = None
         if self.taken is not None:
             self.taken += 1
         if self.triggers is not None:
@@ -171,11 +177,13 @@ class ObservedThread:
 
     def calls_timer(self, call: TimerCall) -> None:
         self.turns_to(call)
+        self.took = None
         self.taken = None
 
     def waits(self) -> None:
         self.has_waited = True
         self.turns_to(None)
+        self.took = None
         self.taken = 0
 
     def triggers_guard(self) -> None:

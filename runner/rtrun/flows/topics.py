@@ -174,12 +174,7 @@ class TopicRecord(MessageRecord):
         if handle in known:
             known[handle].is_replaced = True
         endpoint = known[handle] = Endpoint(process, topic, begin_ns)
-        label = self._state.label(process, process.node(node))
-        number = self._state.numbering.number((role, topic, label), endpoint)
-        if number > 1:
-            # One of several in the same process.
-            label = f"{label} ({number})"
-            state.add_pid(label, process.pid)
+        label = state.label_of(endpoint, node, (role, topic))
         end = self.ends.get((role, topic, label))
         if end is None:
             state.add_stream()

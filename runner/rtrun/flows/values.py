@@ -25,14 +25,15 @@ class Stream:
     - timer: `timestamp_ns`; if lateness is known, also `expected_ns` and `real_ns`, both of the timer's own clock. In
       an observation also `segment`, as for intervals.
     - callback and path: `begin_ns`, `end_ns`.
+    - service: the same, `taken_ns` and `answered_ns` (NOT_SEEN_NS in rows without).
     - intervals: `timestamp_ns`, and `segment`: how many cuts there are up to a row.
 
     Long columns are in files: `pieces` reads them some rows at a time. `cuts`, int64, are rows before which hits are
     missing, or the program began again: such a row must not be joined with the one before. `period_ns` is the period of
     a timer, if known. `remarks` are sentences on what is not known, and why. `open_ns` is the least length of a value
-    that had not come at the end although its program lives; otherwise 0. `source` is the record that the stream was
-    read from, which identifies the stream while it grows. `trouble` is why the columns could not be read; there are
-    none then.
+    that had not come at the end although its program lives; otherwise 0. `more_open_ns` are those of further ones.
+    `source` is the record that the stream was read from, which identifies the stream while it grows. `trouble` is why
+    the columns could not be read; there are none then.
     """
 
     kind: StreamKind
@@ -43,6 +44,7 @@ class Stream:
     period_ns: int | None = None
     remarks: tuple[str, ...] = ()
     open_ns: int = 0
+    more_open_ns: tuple[int, ...] = ()
     source: object = None
     trouble: str = ""
 

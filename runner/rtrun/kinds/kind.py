@@ -9,6 +9,15 @@ from rtrun.kinds.lateness import Measure
 from rtrun.kinds.rows import Columns, Stated
 from rtrun.kinds.values import IndexedValues, Int64s
 
+# An action is three services and two topics.
+_OF_ACTION = re.compile(r"(/.+)/_action/(send_goal|cancel_goal|get_result|feedback|status)", re.DOTALL)
+
+
+def name_in_words(name: object) -> object:
+    """A name as people know it: what belongs to an action begins with the name of that."""
+    match = _OF_ACTION.fullmatch(name) if isinstance(name, str) else None
+    return name if match is None else f"{match[1]} (action, {match[2]})"
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LogForm:
@@ -95,7 +104,11 @@ class StreamKind:
         parts = [*self.words, f"{{{self.begins_with}}}", *(f"{{{key}}}" for key in self.hidden)]
         keys = frozenset(re.findall(r"{(\w+)}", " ".join(parts)))
         values = {key: value for key, value in parameters.items() if key in keys and value is not None}
-        shown = {key: value for key, value in values.items() if key not in self.usual or value != self.usual[key]}
+        shown = {
+            key: name_in_words(value)
+            for key, value in values.items()
+            if key not in self.usual or value != self.usual[key]
+        }
         rest = [part.format_map(shown) for part in self.words if set(re.findall(r"{(\w+)}", part)) <= shown.keys()]
         return " ".join(filter(None, [str(values.get(self.begins_with) or self.word), *rest])), keys
 

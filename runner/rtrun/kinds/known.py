@@ -1,6 +1,19 @@
 """All kinds of measurement, by their names in suites.yml."""
 
-from rtrun.kinds import age, callback, cyclic, interval, loop, loop_response, messages, oneshot, path, response, timer
+from rtrun.kinds import (
+    age,
+    callback,
+    cyclic,
+    interval,
+    loop,
+    loop_response,
+    messages,
+    oneshot,
+    path,
+    response,
+    service,
+    timer,
+)
 from rtrun.kinds.kind import LogForm, MeasurementKind, StreamKind
 from rtrun.kinds.lateness import Measure
 
@@ -10,6 +23,7 @@ KINDS: dict[str, MeasurementKind] = {
     "messages": messages.KIND,
     "timer": timer.KIND,
     "callback": callback.KIND,
+    "service": service.KIND,
     "interval": interval.KIND,
     "path": path.KIND,
     "response": response.KIND,

@@ -12,7 +12,8 @@ from rtrun.kinds.rows import MAX_ABSENT, Columns, Stated, agree, check_times, ti
 from rtrun.kinds.values import IndexedValues
 
 
-def _series(name: str, columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
+def spans(name: str, columns: Columns, stated: Stated, path: Path) -> dict[str, IndexedValues]:
+    """How long each span took, as a series of this name."""
     begin, end = columns["begin_ns"], columns["end_ns"]
     check_times(path, begin, end)
     agree(path, "measured", len(begin), stated.measured)
@@ -32,7 +33,7 @@ def kind_of_spans(
 ) -> MeasurementKind:
     """A kind whose one series, by the name of its measure, is how long its spans took."""
     return MeasurementKind(
-        series=partial(_series, measure),
+        series=partial(spans, measure),
         called={measure: measure},
         times=times_in("end_ns"),
         subject=subject,

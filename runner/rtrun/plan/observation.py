@@ -72,7 +72,7 @@ def read_stream_deadline(text: object) -> StreamDeadline:
     kind = STREAMS[word]
     if kind.is_of_paths:
         read_path(name)
-    elif kind.named_by == "topic":
+    elif kind.named_by in ("topic", "service"):
         _check_topic(name)
     return StreamDeadline(kind=word, name=name, deadline_ns=read_time_ns(time))
 
@@ -89,9 +89,9 @@ def read_path(text: object) -> tuple[str, ...]:
 
 
 def _check_topic(name: str) -> None:
-    """Refuse a name that no observed topic can have: programs report the full name."""
+    """Refuse a name that no observed topic or service can have: programs report the full name."""
     if not name.startswith("/"):
-        raise ValueError(f"{name[:60]!r}: the full name of a topic begins with /, as /cmd_vel")
+        raise ValueError(f"{name[:60]!r}: the full name of a topic or a service begins with /, as /cmd_vel")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

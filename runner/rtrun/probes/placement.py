@@ -168,7 +168,7 @@ def place(link: "Link", found: Sequence[ObservableProgram], *, events: Collectio
         number = numbers.setdefault(file.sha256 if is_shared else str(key), len(numbers))
         library = libraries()[mapped.library]
         for index, probe in enumerate(library.probes):
-            if probe.event not in events:
+            if probe.event not in events or not probe.is_in(mapped.path):
                 continue
             is_for = _is_for_any(probe, besides)
             if isinstance(is_for, NotProbed):

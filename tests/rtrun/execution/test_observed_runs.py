@@ -13,7 +13,7 @@ from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures
 from rtrun.flows.streams import streams
 from rtrun.plan.observation import read_stream_deadline
-from rtrun.results.record import read_record
+from rtrun.results.record import ProgramRecord, read_record
 from rtrun.targets.inspection.facts import TargetState
 
 
@@ -142,3 +142,51 @@ def test_a_late_call_that_comes_first_after_a_gap_is_a_miss(tmp_path, capsys):
     assert (row.misses, row.lost, row.worst_ns) == (3, None, 4 * MS)
     case, _ = gated(tmp_path, capsys, flows, "timer:/talker=1ms")
     assert (case["n"], case["misses"]) == (800, 3)
+
+
+def calls_of_a_service(number):
+    """A client of process 2 and a server of process 1, a call each 10 ms; and `number` requests that nobody answers."""
+    told = {"service": "/grasp", "gid0": 7, "gid1": 0}
+    for call in range(1, 1001 + number):
+        at_ns = call * 10 * MS
+        yield hit(at_ns, "request_send", pid=2, endpoint=0xC0, before=call - 1, **told)
+        yield hit(at_ns + 1, "request_number", pid=2, endpoint=0xC0, number=call)
+        if call <= 1000:
+            yield hit(at_ns + 2, "request_take", endpoint=0xD0, number=call, taken=1, **told)
+            yield hit(at_ns + 3, "response_send", endpoint=0xD0, number=call, **told)
+            yield hit(at_ns + 4, "response_take", pid=2, endpoint=0xC0, service="/grasp", number=call, taken=1)
+
+
+@pytest.mark.parametrize(("limit", "misses"), [("20ms", 20), ("49.85s", 14), ("61s", 0)])
+def test_each_request_without_an_answer_is_a_miss(tmp_path, capsys, limit, misses):
+    flows = FlowAccumulator(begin_ns=0)
+    flows.observe([node(1, "arm"), node(2, "planner")])
+    flows.feed(calls_of_a_service(20))
+    flows.finish(60 * S)
+    case, written = gated(tmp_path, capsys, flows, f"service:/grasp={limit}")
+    silent = "a request was sent 49.99 s ago and has no answer, though its client lives; and 19 more"
+    assert any(each.endswith(f": {silent}") for each in written.left_out) is (misses == 20)
+    assert (case["n"], case["misses"]) == (1000 + misses, misses)
+
+
+def test_a_deadline_of_a_node_that_was_not_seen_tells_which_names_there_are(tmp_path):
+    """With what people know of them: a node that ran before has the name of its program."""
+    flows = FlowAccumulator(begin_ns=0)
+    flows.observe([node(1, "talker"), node(2, "other")])
+    flows.feed(sorted(timer_that_is_not_called() + silent_publisher()))
+    flows.finish(20 * S)
+    (tmp_path / "facts").mkdir()
+    write_record(tmp_path / "facts", "observed_intervals", [], {}, subject="attached")
+    facts = StreamFacts(
+        record=read_record(tmp_path / "facts"),
+        state=TargetState(),
+        start_time="2026-11-21T10:00:00Z",
+        end_time="2026-11-21T10:01:00Z",
+        deadlines=[read_stream_deadline("timer:/truth/truth_talker=1ms")],
+        programs=lambda parameters, _: [ProgramRecord(name="talker", argv=[], pid=42)],
+    )
+    (unseen,) = write_streams(tmp_path / "001", facts, streams(flows), {}).unseen
+    assert unseen == (
+        "timer /truth/truth_talker: it was not seen; a node that ran before has the name of its program: "
+        "name one of /talker (pid 42; /a)"
+    )

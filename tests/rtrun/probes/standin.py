@@ -23,7 +23,7 @@ SCRIPTS = PurePosixPath(ON_TARGET)
 SOURCE = Path(__file__).with_name("standin.c")
 LIBRARIES = ("tracetools", "rcl")
 # Those of paths are of real programs alone.
-EVENTS = [each for each in events() if each not in ("wait", "guard_trigger", "request_take", "response_take")]
+EVENTS = [each for each in events() if each not in ("wait", "guard_trigger")]
 
 
 def build(

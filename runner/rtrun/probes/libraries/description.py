@@ -84,6 +84,8 @@ class Probe(Config):
     event: _Name
     symbols: Annotated[tuple[str, ...], Field(strict=False, min_length=1)]
     """Names as in the library's symbol table; the probe takes the first that the library has."""
+    only_in: str = ""
+    """Regular expression of how the file's name begins, where files of a library differ."""
     only_with: Beside | None = None
     only_without: Beside | None = None
     constants: dict[_Name, str | int] = Field(default_factory=dict)
@@ -97,6 +99,10 @@ class Probe(Config):
                 if isinstance(argument, Bytes) and argument.of not in values:
                     raise ValueError(f"{name}: there is no argument {argument.of!r}")
         return self
+
+    def is_in(self, path: str) -> bool:
+        """Whether it is for the library of this path."""
+        return re.match(self.only_in, path.rpartition("/")[2], re.ASCII) is not None
 
 
 class Library(Config):
