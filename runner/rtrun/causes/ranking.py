@@ -87,7 +87,7 @@ class Ranking:
 
 
 def rank(explained: Iterable[Explained]) -> Ranking:
-    """Rank the culprits by the number of outliers in which they are the main part, then by time."""
+    """Rank the culprits by the number of outliers that they mainly caused, then by time."""
     cut = [case for case in explained if case.parts]
     alike = _alike(cut)
     occurrences: dict[_Identity, list[_Occurrence]] = defaultdict(list)
