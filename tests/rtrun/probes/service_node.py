@@ -59,7 +59,7 @@ else:
             sent, latest_ns = sent + 1, time.monotonic_ns()
 
     node.create_timer(0.02, tick)
-    # Fast DDS may not have found both ends when the service is said to be there; such a request gets no answer.
+    # Fast DDS may report a service before it has found both ends; such a request gets no answer.
     while len(told) < len(clients) * int(numbers[1]) and time.monotonic_ns() < latest_ns + 5 * 10**9:
         rclpy.spin_once(node)
 for line in told:
