@@ -151,7 +151,7 @@ def test_what_the_thread_has_taken_since_was_not_the_request():
 def test_a_middleware_that_does_not_show_the_name_of_a_client(others):
     """An only client is the one that is meant; of two neither is."""
     calls = Release(False, has_gid=False)
-    hits = [hit(50, "client_init", pid=2, endpoint=0xC1, service=NAME, node=0)] * others + calls.call(100, 1, 0)
+    hits = [hit(105, "client_init", pid=2, endpoint=0xC1, service=NAME, node=0)] * others + calls.call(100, 1, 0)
     assert len(services(accumulate(hits))) == 1 - others
 
 
