@@ -4,7 +4,7 @@ from rtrun.flows.programs import HandleTable, LivingProcess, LivingThing
 from rtrun.flows.rows import RowStore
 from rtrun.kinds.messages import NOT_SEEN_NS
 
-OPEN_MAX = 1000  # requests of a client without an answer
+OPEN_MAX = 1000  #: requests of a client without an answer that are kept
 _QUIET_NS = 10**8  # a client that has not looked for this long has taken what was there
 
 Key = tuple[int, int]

@@ -79,7 +79,7 @@ def test_an_accepted_level_is_what_a_build_is_held_against(capsys, tmp_path):
     assert "accepted  oneshot_timer RR 1000 us on board: p50" in out and "WORSE" not in out
     rtrun(capsys, "site", archive, "--output", tmp_path / "site")
     page = (tmp_path / "site" / "index.html").read_text()
-    assert "Of 1 scenario 1 got worse, which was accepted." in page and "✓ ACCEPTED: p50, p99" in page
+    assert "Of 1 scenario 1 got worse, which was accepted." in page and "✓&nbsp;ACCEPTED: p50, p99" in page
     # What was accepted before it got worse is no excuse.
     (name,) = (path.stem for path in (archive / "notes").iterdir())
     rtrun(capsys, "archive", "annotate", archive, "--withdraw", name, "--reason", "too late", *WHO)

@@ -151,7 +151,7 @@ def test_what_is_known_calls_nobody_until_it_gets_worse_again(capsys, lab):
     assert "WORSE  oneshot_timer" in printed and "known: ticket 7" in printed
     assert main(["site", str(lab.archive), "--output", str(lab.archive.parent / "site")]) == 0
     page = (lab.archive.parent / "site" / "index.html").read_text()
-    assert "1 got worse, which is known" in page and "✗ WORSE, known: p50, p99" in page
+    assert "1 got worse, which is known" in page and "✗&nbsp;WORSE, known: p50, p99" in page
     # What began after the note: the note is put back to the time between two steps.
     (path,) = (lab.archive / "notes").iterdir()
     path.write_text(json.dumps({**json.loads(path.read_text()), "at": "2026-01-12T00:00:00"}))
