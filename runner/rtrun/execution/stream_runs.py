@@ -282,7 +282,7 @@ def _row_at(times_ns: Int64s, at_ns: int) -> int | None:
 def _write_run(folder: Path, facts: StreamFacts, output: ObservedOutput, *, reason: str | None = None) -> None:
     """Write and close the run of a stream; with a `reason`, it has failed."""
     programs = facts.programs(output.parameters, _PARTIES)
-    has_values = [each for each in _MEASURING if each in output.parameters]
+    has_values = [parameter for parameter in _MEASURING if parameter in output.parameters]
     measuring = facts.programs(output.parameters, has_values) if has_values else programs
     name = folder.name
     updated: dict[str, Any] = {

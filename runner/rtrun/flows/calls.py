@@ -48,7 +48,7 @@ class CallRecord:
         if handle is None:
             self._state.unreadable += 1
             return None
-        timers = TIMERS.of(thread.process)
+        timers = TIMERS.table_of(thread.process)
         if not self._state.has_room(handle, timers):
             return None
         if handle in timers:
@@ -61,7 +61,7 @@ class CallRecord:
     def _link_timer(self, hit: Hit, thread: ObservedThread) -> None:
         thread.does_other_work()
         self._shows_callbacks(thread.process)
-        timer = TIMERS.of(thread.process).get(hit.values.get("timer", ""))
+        timer = TIMERS.table_of(thread.process).get(hit.values.get("timer", ""))
         if timer is None:
             self._state.unreadable += 1
         else:
@@ -69,7 +69,7 @@ class CallRecord:
 
     def _call_timer(self, hit: Hit, thread: ObservedThread) -> None:
         values = hit.values
-        timer = TIMERS.of(thread.process).get(values.get("timer", ""))
+        timer = TIMERS.table_of(thread.process).get(values.get("timer", ""))
         period_ns = values.get("period_ns")
         if timer is None or (period_ns is not None and timer.period_ns not in (None, period_ns)):
             # A timer with a new period counts as another timer from then on.
@@ -102,7 +102,7 @@ class CallRecord:
     def _execute_timer(self, hit: Hit, thread: ObservedThread) -> None:
         """An executor takes a call of a timer from its queue; the callback begins next on this thread."""
         self._shows_callbacks(thread.process)
-        timer = TIMERS.of(thread.process).get(hit.values.get("timer", ""))
+        timer = TIMERS.table_of(thread.process).get(hit.values.get("timer", ""))
         if timer is None:
             thread.does_other_work()
             return
@@ -137,7 +137,7 @@ class CallRecord:
         if process.shows_callbacks:
             return
         process.has_shown_callbacks = True
-        for timer in TIMERS.of(process).values():
+        for timer in TIMERS.table_of(process).values():
             timer.early.clear()
             if (log := timer.log) is not None:
                 timer.log = TimerLog(log.label, log.period_ns, log.clock, log.number, self._state.store)
@@ -160,7 +160,7 @@ class CallRecord:
         """rclcpp made its own object for a subscription of rcl."""
         thread.does_other_work()
         self._shows_callbacks(thread.process)
-        subscriptions, handle = SUBSCRIPTIONS.of(thread.process), hit.values.get("object")
+        subscriptions, handle = SUBSCRIPTIONS.table_of(thread.process), hit.values.get("object")
         endpoint = subscriptions.get(hit.values.get("subscription", ""))
         if handle is not None and endpoint is not None and self._state.has_room(handle, subscriptions):
             subscriptions[handle] = endpoint
@@ -174,15 +174,15 @@ class CallRecord:
             self._state.unreadable += 1
             return
         process = thread.process
-        callbacks = CALLBACKS.of(process)
+        callbacks = CALLBACKS.table_of(process)
         if not self._state.has_room(handle, callbacks):
             return
         if handle in callbacks:
             callbacks[handle].is_replaced = True
-        made = callbacks[handle] = LivingCallback(process)
-        timer = TIMERS.of(process).get(hit.values.get("timer", ""))
-        made.owner = timer or SUBSCRIPTIONS.of(process).get(hit.values.get("object", ""))
-        made.is_linked = made.owner is not None
+        callback = callbacks[handle] = LivingCallback(process)
+        timer = TIMERS.table_of(process).get(hit.values.get("timer", ""))
+        callback.owner = timer or SUBSCRIPTIONS.table_of(process).get(hit.values.get("object", ""))
+        callback.is_linked = callback.owner is not None
 
     def _begin(self, hit: Hit, thread: ObservedThread) -> None:
         thread.has_callbacks = True
@@ -191,11 +191,11 @@ class CallRecord:
         if handle is None:
             self._state.unreadable += 1
             return
-        callback = CALLBACKS.of(thread.process).get(handle)
+        callback = CALLBACKS.table_of(thread.process).get(handle)
         if callback is None:
             if not self._state.add_thing():
                 return
-            callback = CALLBACKS.of(thread.process)[handle] = LivingCallback(thread.process)
+            callback = CALLBACKS.table_of(thread.process)[handle] = LivingCallback(thread.process)
         is_handled = self._is_handled(cause, callback, hit)
         if isinstance(callback.owner, LivingTimer):
             if not callback.is_mixed:
@@ -220,8 +220,8 @@ class CallRecord:
         is_by_pointer = begin.values.get("intra_process") == 1
         if is_by_pointer and not process.passes_pointers:
             process.passes_pointers = True
-            for each in CALLBACKS.of(process).values():
-                each.forget_guess()
+            for living in CALLBACKS.table_of(process).values():
+                living.forget_guess()
         is_handled = not is_by_pointer and callback.is_of(cause)
         # Of unknown callbacks, any may be another's.
         is_others = process.passes_pointers or callback.owner not in (None, owner_of(cause))
@@ -236,7 +236,7 @@ class CallRecord:
         # The callbacks above it ended by an exception.
         while thread.callbacks and opened is None:
             opened = thread.callbacks.pop()
-            if handle is not None and CALLBACKS.of(thread.process).get(handle) is not opened.callback:
+            if handle is not None and CALLBACKS.table_of(thread.process).get(handle) is not opened.callback:
                 opened = None
         if opened is None:
             return

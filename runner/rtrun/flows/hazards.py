@@ -28,10 +28,10 @@ def _of(program: ObservedProgram, programs: Sequence[ObservedProgram]) -> Iterat
     if not program.locked_bytes:
         yield "memory is not locked: a page fault may read from a disk"
     above = {
-        f"{other.name} of {label_of(each)} ({other.policy} {other.priority})": None
-        for each in programs
-        if each is not program
-        for other in each.threads
+        f"{other.name} of {label_of(owner)} ({other.policy} {other.priority})": None
+        for owner in programs
+        if owner is not program
+        for other in owner.threads
         if any(_may_delay(other, thread) for thread in program.threads)
     }
     if above:

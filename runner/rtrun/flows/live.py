@@ -21,7 +21,7 @@ _BINS_OF_OCTAVE = 64
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LiveRow:
-    """Figures of one stream since the begin; None if there is no value. `name` and `of` are printable.
+    """Figures of one stream since the begin; None if there is no value. `name` and `detail` are printable.
 
     Median and p99 are at most 1.6 % too high, the others are exact. `rate_hz` is that since the last snapshot. `lost`
     counts messages, and may still fall when one comes late; or the skipped periods of a timer, which are misses, too.
@@ -29,7 +29,7 @@ class LiveRow:
 
     kind: StreamKind
     name: str
-    of: str
+    detail: str
     n: int
     rate_hz: float
     median_ns: int | None
@@ -159,7 +159,7 @@ class LiveFigures:
         return LiveRow(
             kind=kind,
             name=printable(str(name_in_words(source.name))),
-            of=printable(source.of),
+            detail=printable(source.detail),
             n=new.rows,
             rate_hz=more / passed_s if passed_s > 0 else 0.0,
             median_ns=figures.quantile_ns(0.5),
@@ -171,9 +171,9 @@ class LiveFigures:
         )
 
     def _limit_ns(self, kind: StreamKind, source: StreamSource) -> int | None:
-        of_kind = [each for each in self._deadlines if each.stream is kind]
+        of_kind = [deadline for deadline in self._deadlines if deadline.stream is kind]
         identity = source.identity if of_kind else {}
-        return next((each.deadline_ns for each in of_kind if kind.is_named(each.name, identity)), None)
+        return next((deadline.deadline_ns for deadline in of_kind if kind.is_named(deadline.name, identity)), None)
 
     def _remarks(self) -> Iterator[str]:
         observed = self._observed

@@ -45,17 +45,17 @@ class LoopRecord:
     def observe(self, programs: Iterable[ObservedProgram]) -> None:
         """Take all programs that run now: others have ended."""
         living: dict[int, tuple[ObservedProgram, ProgramThread]] = {}
-        for program in sorted(programs, key=lambda each: (each.start_ticks, each.pid)):
-            for thread in sorted(program.threads, key=lambda each: each.tid):
+        for program in sorted(programs, key=lambda program: (program.start_ticks, program.pid)):
+            for thread in sorted(program.threads, key=lambda thread: thread.tid):
                 if is_observed(program, thread, self._names):
                     living[thread.tid] = program, thread
                 elif (known := self.threads.get(thread.tid)) is not None and known.program.pid == program.pid:
                     # It was observed until its program had a real-time thread, or as one of those.
                     known.log.is_dropped = True
-        for tid, one in list(self.threads.items()):
+        for tid, loop_thread in list(self.threads.items()):
             now = living[tid][0] if tid in living else None
-            if now is None or (now.pid, now.start_ticks) != (one.program.pid, one.program.start_ticks):
-                self._end(one)
+            if now is None or (now.pid, now.start_ticks) != (loop_thread.program.pid, loop_thread.program.start_ticks):
+                self._end(loop_thread)
         for tid, (program, thread) in living.items():
             if tid not in self.threads:
                 if len(self.threads) >= THREADS_MAX:
@@ -67,24 +67,26 @@ class LoopRecord:
 
     def _begin(self, tid: int, program: ObservedProgram, thread: ProgramThread) -> None:
         file_name, name = program.file_name[:NAME_CHARACTERS_MAX], thread.name
-        one = LoopThread(tid, program)
-        number = self._state.numbering.number(("loop", file_name, name), one, program.argv)
+        loop_thread = LoopThread(tid, program)
+        number = self._state.numbering.number(("loop", file_name, name), loop_thread, program.argv)
         key = file_name, numbered(name, number)
         # The name of an ordinary thread that is no stream any more may be that of a real-time one.
         if key not in self.logs or not self.logs[key].is_shown:
             if not self._state.add_stream():
                 return
             self.logs[key] = LoopLog(*key, self._state)
-        one.log = self.logs[key]
-        one.log.latest = one
-        one.log.is_asked = any(each in (file_name, f"{file_name}/{one.log.thread}") for each in self._names)
+        loop_thread.log = self.logs[key]
+        loop_thread.log.latest = loop_thread
+        loop_thread.log.is_asked = any(
+            asked in (file_name, f"{file_name}/{loop_thread.log.thread}") for asked in self._names
+        )
         self._state.add_pid(file_name, program.pid)
-        self.threads[tid] = one
+        self.threads[tid] = loop_thread
 
-    def _end(self, one: LoopThread) -> None:
-        one.is_alive = one.is_on = False
-        del self.threads[one.tid]
-        for handle in one.timers:
+    def _end(self, thread: LoopThread) -> None:
+        thread.is_alive = thread.is_on = False
+        del self.threads[thread.tid]
+        for handle in thread.timers:
             self._armed.pop(handle, None)
 
     def feed(self, events: KernelEvents, gaps: Sequence[Gap], offset_ns: int | None) -> None:
@@ -123,10 +125,10 @@ class LoopRecord:
 
     def finish(self) -> None:
         """There are no more events: an activation has ended if its thread sleeps."""
-        for one in self.threads.values():
+        for thread in self.threads.values():
             # A sleep within a cycle is not the end: only its next timer shows that it asked for the next time.
-            if one.open_ns is not None and one.asleep_ns is not None and one.timers:
-                self._close(one, one.asleep_ns)
+            if thread.open_ns is not None and thread.asleep_ns is not None and thread.timers:
+                self._close(thread, thread.asleep_ns)
 
     def _numbers(self, events: KernelEvents) -> Iterator[tuple[int, ...]]:
         """Of each event that concerns a thread: time, CPU, thread, place, kind (as in _FIELDS), and its numbers."""
@@ -137,7 +139,7 @@ class LoopRecord:
         if self.missing or not len(events):
             return
         size = len(events)
-        told = np.zeros((size, 4), np.int64)
+        numbers = np.zeros((size, 4), np.int64)
         is_of = np.zeros(size, np.bool_)
         followed = np.fromiter(self.threads, np.int64, len(self.threads))
         functions = np.array([*self._functions], np.uint64).view(np.int64)
@@ -154,126 +156,130 @@ class LoopRecord:
                     kept = np.isin(columns[0], followed)
                 else:
                     kept = np.isin(columns[0], followed) | np.isin(columns[1], followed)
-                told[some, 0] = code
+                numbers[some, 0] = code
                 for number, column in enumerate(columns):
-                    told[some, number + 1] = column
+                    numbers[some, number + 1] = column
                 is_of[some] = kept
         except ValueError as error:
             self.missing[f"{error}: no loop is measured"] = None
             return
         places = np.flatnonzero(is_of)
-        parts = (events.at_ns[places], events.rows["cpu"][places], tids[places], places, *told[places].T)
+        parts = (events.at_ns[places], events.rows["cpu"][places], tids[places], places, *numbers[places].T)
         yield from zip(*(part.tolist() for part in parts), strict=True)
 
     def _start(self, at_ns: int, tid: int, handle: int, soft_ns: int, function: int) -> None:
         """A thread arms a timer that may expire from `soft_ns` on."""
-        one = self.threads[tid]
-        self._runs(at_ns, one)
+        thread = self.threads[tid]
+        self._runs(at_ns, thread)
         is_sleep = self._functions.get(function & (1 << 64) - 1) == SLEEP
-        if not is_sleep and (timer := one.timers.get(handle)) is not None and timer.expired_ns is not None:
+        if not is_sleep and (timer := thread.timers.get(handle)) is not None and timer.expired_ns is not None:
             # It had expired while its thread ran, and only now the thread reacts.
-            self._activate(one, timer, UNKNOWN_NS, at_ns, at_ns, 0, "")
-        for old in [each for each in one.timers.values() if each.handle == handle or (is_sleep and each.is_sleep)]:
-            self._disarm(one, old)
+            self._activate(thread, timer, UNKNOWN_NS, at_ns, at_ns, 0, "")
+        for old in [
+            armed for armed in thread.timers.values() if armed.handle == handle or (is_sleep and armed.is_sleep)
+        ]:
+            self._disarm(thread, old)
         offset_ns = self._offset_ns
         is_realtime = offset_ns is not None and abs(soft_ns - offset_ns - at_ns) < abs(soft_ns - at_ns)
         if is_realtime and not self._is_offset_certain:
             return
         due_ns = soft_ns - offset_ns if is_realtime and offset_ns is not None else soft_ns
-        if not 0 <= due_ns <= TIME_MAX_NS or len(one.timers) >= _TIMERS_MAX:
+        if not 0 <= due_ns <= TIME_MAX_NS or len(thread.timers) >= _TIMERS_MAX:
             return
-        one.timers[handle] = LoopTimer(handle, due_ns, at_ns, is_sleep, is_realtime)
-        self._armed[handle] = one
+        thread.timers[handle] = LoopTimer(handle, due_ns, at_ns, is_sleep, is_realtime)
+        self._armed[handle] = thread
 
-    def _disarm(self, one: LoopThread, timer: LoopTimer) -> None:
-        one.timers.pop(timer.handle, None)
+    def _disarm(self, thread: LoopThread, timer: LoopTimer) -> None:
+        thread.timers.pop(timer.handle, None)
         self._armed.pop(timer.handle, None)
 
     def _forget_realtime(self) -> None:
-        for one in self.threads.values():
-            for timer in [each for each in one.timers.values() if each.is_realtime]:
-                self._disarm(one, timer)
+        for thread in self.threads.values():
+            for timer in [timer for timer in thread.timers.values() if timer.is_realtime]:
+                self._disarm(thread, timer)
 
     def _expire(self, at_ns: int, cpu: int, handle: int) -> None:
-        one = self._armed.get(handle)
-        if one is not None and (timer := one.timers.get(handle)) is not None:
+        thread = self._armed.get(handle)
+        if thread is not None and (timer := thread.timers.get(handle)) is not None:
             timer.expired_ns, timer.expired_cpu = at_ns, cpu
 
     def _wake(self, at_ns: int, cpu: int, by_tid: int, tid: int, flags: int) -> None:
-        one = self.threads[tid]
+        thread = self.threads[tid]
         timer = None
         if flags & _INTERRUPT:
-            expired = [each for each in one.timers.values() if each.expired_ns is not None and each.expired_cpu == cpu]
-            timer = min(expired, key=lambda each: each.due_ns, default=None)
-        if one.is_on or by_tid == tid:
+            expired = [
+                armed for armed in thread.timers.values() if armed.expired_ns is not None and armed.expired_cpu == cpu
+            ]
+            timer = min(expired, key=lambda armed: armed.due_ns, default=None)
+        if thread.is_on or by_tid == tid:
             # The interrupt came before it slept: it continues to run.
             if timer is not None:
-                self._activate(one, timer, at_ns, at_ns, timer.asked_ns, 0, "")
+                self._activate(thread, timer, at_ns, at_ns, timer.asked_ns, 0, "")
             return
         if timer is None:
             who = "an interrupt" if flags & _INTERRUPT else self._name(by_tid)
-            if who in one.log.wakers or len(one.log.wakers) < _WAKERS_MAX:
-                one.log.wakers[who] += 1
-            for sleep in [each for each in one.timers.values() if each.is_sleep]:
-                self._disarm(one, sleep)
-        one.woken = timer, at_ns
+            if who in thread.log.wakers or len(thread.log.wakers) < _WAKERS_MAX:
+                thread.log.wakers[who] += 1
+            for sleep in [armed for armed in thread.timers.values() if armed.is_sleep]:
+                self._disarm(thread, sleep)
+        thread.woken = timer, at_ns
 
     def _name(self, tid: int) -> str:
-        one = self.threads.get(tid)
-        return f"{one.log.program}/{one.log.thread}" if one is not None else "another thread"
+        thread = self.threads.get(tid)
+        return f"{thread.log.program}/{thread.log.thread}" if thread is not None else "another thread"
 
     def _leave(self, at_ns: int, tid: int, state: int) -> None:
-        one = self.threads.get(tid)
-        if one is None:
+        thread = self.threads.get(tid)
+        if thread is None:
             return
-        self._runs(at_ns, one)
-        one.is_on = False
-        if one.on_ns is not None:
-            one.run_ns += at_ns - one.on_ns
-            one.on_ns = None
+        self._runs(at_ns, thread)
+        thread.is_on = False
+        if thread.on_ns is not None:
+            thread.run_ns += at_ns - thread.on_ns
+            thread.on_ns = None
         if state & _ASLEEP:
-            one.asleep_ns, one.woken = at_ns, None
+            thread.asleep_ns, thread.woken = at_ns, None
         elif state & _ENDED:
-            one.cut()
+            thread.cut()
 
-    def _runs(self, at_ns: int, one: LoopThread) -> None:
+    def _runs(self, at_ns: int, thread: LoopThread) -> None:
         """A thread runs, though the kernel may not have recorded the switch to it: it does not record every switch.
 
         Such activations are late more often than others. So they count, from the time at which the thread is first seen
         to run.
         """
-        if not one.is_on and one.woken is not None:
-            one.log.unseen += one.woken[0] is not None
-            self._enters(at_ns, one, 0, "")
+        if not thread.is_on and thread.woken is not None:
+            thread.log.unseen += thread.woken[0] is not None
+            self._enters(at_ns, thread, 0, "")
 
     def _enter(self, at_ns: int, tid: int, before: int, events: KernelEvents, place: int) -> None:
-        one = self.threads.get(tid)
-        if one is None:
+        thread = self.threads.get(tid)
+        if thread is None:
             return
-        timer, worst = one.woken[0] if one.woken is not None else None, one.log.worst
+        timer, worst = thread.woken[0] if thread.woken is not None else None, thread.log.worst
         is_worst = timer is not None and (worst is None or at_ns - timer.due_ns > worst.late_ns)
-        self._enters(at_ns, one, before, _previous_name(events, place) if is_worst and before else "")
+        self._enters(at_ns, thread, before, _previous_name(events, place) if is_worst and before else "")
 
-    def _enters(self, at_ns: int, one: LoopThread, before: int, name: str) -> None:
-        one.is_on, one.on_ns = True, at_ns
-        one.log.runs += 1
-        timer, waking_ns = one.woken or (None, UNKNOWN_NS)
-        one.woken = None
-        if timer is not None and timer.handle in one.timers:
-            end_ns = one.asleep_ns if one.asleep_ns is not None else timer.asked_ns
-            self._activate(one, timer, waking_ns, at_ns, end_ns, before, name)
-        one.asleep_ns = None
+    def _enters(self, at_ns: int, thread: LoopThread, before: int, name: str) -> None:
+        thread.is_on, thread.on_ns = True, at_ns
+        thread.log.runs += 1
+        timer, waking_ns = thread.woken or (None, UNKNOWN_NS)
+        thread.woken = None
+        if timer is not None and timer.handle in thread.timers:
+            end_ns = thread.asleep_ns if thread.asleep_ns is not None else timer.asked_ns
+            self._activate(thread, timer, waking_ns, at_ns, end_ns, before, name)
+        thread.asleep_ns = None
 
     def _activate(
-        self, one: LoopThread, timer: LoopTimer, waking_ns: int, running_ns: int, end_ns: int, before: int, name: str
+        self, thread: LoopThread, timer: LoopTimer, waking_ns: int, running_ns: int, end_ns: int, before: int, name: str
     ) -> None:
         """The time of a thread has come and it runs; the activation before ended at `end_ns`."""
-        log = one.log
-        if one.open_ns is not None:
-            self._close(one, end_ns)
-        if not one.is_joined:
+        log = thread.log
+        if thread.open_ns is not None:
+            self._close(thread, end_ns)
+        if not thread.is_joined:
             log.cuts.add((len(log.rows),))
-            one.is_joined = True
+            thread.is_joined = True
         interrupt_ns = timer.expired_ns if timer.expired_ns is not None else UNKNOWN_NS
         log.rows.add((timer.due_ns, interrupt_ns, waking_ns, running_ns))
         if len(log.asked) < GRID_ROWS:
@@ -285,25 +291,25 @@ class LoopRecord:
             timer_ns = max(interrupt_ns - timer.due_ns, 0) if interrupt_ns >= 0 else 0
             wake_ns = max(waking_ns - interrupt_ns, 0) if min(waking_ns, interrupt_ns) >= 0 else 0
             log.worst = Latest(late_ns, timer_ns, wake_ns, late_ns - timer_ns - wake_ns, before, name)
-        one.open_ns, one.run_ns = timer.due_ns, 0
-        if one.is_on:
-            one.on_ns = running_ns
-        self._disarm(one, timer)
+        thread.open_ns, thread.run_ns = timer.due_ns, 0
+        if thread.is_on:
+            thread.on_ns = running_ns
+        self._disarm(thread, timer)
 
-    def _close(self, one: LoopThread, end_ns: int) -> None:
+    def _close(self, thread: LoopThread, end_ns: int) -> None:
         """An activation has ended."""
-        assert one.open_ns is not None
-        run_ns = one.run_ns
-        if one.on_ns is not None and one.on_ns < end_ns:
-            run_ns += end_ns - one.on_ns
-        one.log.responses.add((one.open_ns, max(end_ns, one.open_ns), run_ns))
-        one.open_ns = None
+        assert thread.open_ns is not None
+        run_ns = thread.run_ns
+        if thread.on_ns is not None and thread.on_ns < end_ns:
+            run_ns += end_ns - thread.on_ns
+        thread.log.responses.add((thread.open_ns, max(end_ns, thread.open_ns), run_ns))
+        thread.open_ns = None
 
     def _cut(self, gap: Gap) -> None:
         self._blind_until_ns = max(self._blind_until_ns, gap.until_ns)
         self._armed.clear()
-        for one in self.threads.values():
-            one.cut()
+        for thread in self.threads.values():
+            thread.cut()
 
 
 _FIELDS: Mapping[str, Sequence[str]] = {

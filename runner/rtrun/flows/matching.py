@@ -296,8 +296,8 @@ class PayloadMatching:
             if not same.done.get(end, 0):
                 self._give_up(same, end, same.waiting.pop(end))
         publication = same.published.pop(0)
-        for end, (reception, of) in list(same.held.items()):
-            if of is publication:
+        for end, (reception, matched) in list(same.held.items()):
+            if matched is publication:
                 del same.held[end]
                 self._decide(reception, publication)
         same.done = {end: max(0, done - 1) for end, done in same.done.items()}

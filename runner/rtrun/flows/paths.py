@@ -41,10 +41,10 @@ class PathRecord:
             if begin_ns is not None:
                 publication.begins[number, place] = begin_ns
             if place == len(self.paths[number]) - 1:
-                of = number, publication.endpoint.end
-                log = self.logs.get(of)
+                key = number, publication.endpoint.end
+                log = self.logs.get(key)
                 if log is None:
-                    log = self.logs[of] = PathLog(self._store)
+                    log = self.logs[key] = PathLog(self._store)
                 if begin_ns is None:
                     log.unknown += 1
                 else:

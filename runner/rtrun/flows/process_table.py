@@ -48,7 +48,7 @@ class ProcessTable:
         self._pids = {thread.tid: program.pid for program in listed.values() for thread in program.threads}
         for thread in list(self.threads.values()):
             program = listed.get(thread.process.pid)
-            if program and program.threads and all(thread.tid != one.tid for one in program.threads):
+            if program and program.threads and all(thread.tid != known.tid for known in program.threads):
                 thread.has_ended = True
                 del self.threads[thread.tid]
                 self._state.drop_things(1)

@@ -73,7 +73,7 @@ class HandleTable(Generic[T]):
     """The things of one sort, by handle. Each process has a table of its own, which is dropped when the process
     ends."""
 
-    def of(self, process: LivingProcess) -> dict[Handle, T]:
+    def table_of(self, process: LivingProcess) -> dict[Handle, T]:
         """The table of a process."""
         table = process.tables.get(self)
         if table is None:
@@ -123,7 +123,9 @@ class Numbering:
         owners.append((owner, argv))
         if len(self._owners) > self._tidy_at:
             # Things that ended long ago lose their numbers.
-            self._owners = {key: each for key, each in self._owners.items() if any(one.is_alive for one, _ in each)}
+            self._owners = {
+                key: others for key, others in self._owners.items() if any(other.is_alive for other, _ in others)
+            }
             self._tidy_at = max(_TIDY_FROM, 2 * len(self._owners))
         return len(owners)
 
@@ -151,12 +153,12 @@ def label_of(program: ObservedProgram) -> str:
 
 
 def _told_label(program: ObservedProgram) -> str:
-    told: dict[str, set[str]] = {}
+    given: dict[str, set[str]] = {}
     for word in program.argv:
         if match := _REMAPPED.fullmatch(word):
-            told.setdefault("ns" if match[1] == "ns" else "name", set()).add(match[2])
+            given.setdefault("ns" if match[1] == "ns" else "name", set()).add(match[2])
     script = script_of(program.argv) or program.name
-    names, spaces = told.get("name", set()), told.get("ns", set())
+    names, spaces = given.get("name", set()), given.get("ns", set())
     if not names and len(spaces) == 1:
         # The code usually names a node like its program.
         names = {script}

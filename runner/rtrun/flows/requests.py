@@ -93,8 +93,8 @@ class Client(LivingThing):
 
     def numbered(self, number: int) -> Request | None:
         """The open request of this number; None if that is not certain."""
-        known = next((each for each in self.open if each.number == number), None)
-        others = [each for each in self.open if each.number is None and each.above < number]
+        known = next((request for request in self.open if request.number == number), None)
+        others = [request for request in self.open if request.number is None and request.above < number]
         if known is None and len(others) == 1:
             known = others[0]
             known.number = number

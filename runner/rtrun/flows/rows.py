@@ -36,9 +36,9 @@ class RowStore:
 
     def rows(self, width: int = 1) -> "Rows":
         """New rows, each of `width` numbers."""
-        made = Rows(self, width)
-        self._tables.append(made)
-        return made
+        table = Rows(self, width)
+        self._tables.append(table)
+        return table
 
     def ease(self) -> None:
         """Write rows to the file if too many are in memory.
@@ -131,17 +131,17 @@ class Rows:
     def read(self, begin: int = 0, end: int | None = None) -> Int64s:
         """A copy of the rows from `begin` to before `end`; int64 of shape (n, width)."""
         end = len(self) if end is None else min(end, len(self))
-        made = np.empty((max(end - begin, 0), self.width), np.int64)
+        copied = np.empty((max(end - begin, 0), self.width), np.int64)
         row = begin
         while row < min(end, self._spooled):
             at, until = self._place(row)
             until = min(until, end)
-            self._store.fill(made[row - begin : until - begin].reshape(-1), at)
+            self._store.fill(copied[row - begin : until - begin].reshape(-1), at)
             row = until
         if row < end:
             words = self.tail[(row - self._spooled) * self.width : (end - self._spooled) * self.width]
-            made[row - begin :] = np.frombuffer(words, np.int64).reshape(-1, self.width)
-        return made
+            copied[row - begin :] = np.frombuffer(words, np.int64).reshape(-1, self.width)
+        return copied
 
     def __getitem__(self, row: int) -> int:
         """The first number of a row."""

@@ -136,7 +136,7 @@ class ServiceRecord:
         client = self._by_key.get(key) if key is not None else None
         if key is not None and client is None:
             # Of some middlewares it cannot be read how a client is named: an only one is the one.
-            alike = [each for each in self._clients if each.service == server.service and each.is_alive]
+            alike = [known for known in self._clients if known.service == server.service and known.is_alive]
             if len(alike) == 1 and alike[0].key is None:
                 client = self._by_key[key] = alike[0]
         if client is None or not client.is_alive or not isinstance(number, int):
@@ -146,18 +146,18 @@ class ServiceRecord:
 
     # Clients and servers.
 
-    def _init(self, hit: Hit, thread: ObservedThread, table: HandleTable[T], made: Callable[..., T]) -> None:
+    def _init(self, hit: Hit, thread: ObservedThread, table: HandleTable[T], make: Callable[..., T]) -> None:
         thread.does_other_work()
-        self._made(hit, thread.process, table, made)
+        self._add(hit, thread.process, table, make)
 
-    def _known(self, hit: Hit, process: LivingProcess, table: HandleTable[T], made: Callable[..., T]) -> T | None:
-        known = table.of(process).get(hit.values.get("endpoint", ""))
+    def _known(self, hit: Hit, process: LivingProcess, table: HandleTable[T], make: Callable[..., T]) -> T | None:
+        known = table.table_of(process).get(hit.values.get("endpoint", ""))
         if known is not None and known.service == hit.values.get("service"):
             return known
-        return self._made(hit, process, table, made)
+        return self._add(hit, process, table, make)
 
-    def _made(self, hit: Hit, process: LivingProcess, table: HandleTable[T], made: Callable[..., T]) -> T | None:
-        things, state = table.of(process), self._state
+    def _add(self, hit: Hit, process: LivingProcess, table: HandleTable[T], make: Callable[..., T]) -> T | None:
+        things, state = table.table_of(process), self._state
         handle, service = hit.values.get("endpoint"), hit.values.get("service")
         if (
             handle is None
@@ -171,10 +171,10 @@ class ServiceRecord:
             return None
         if handle in things:
             things[handle].is_replaced = True
-        thing = things[handle] = made(process, service)
-        thing.label = state.label_of(thing, hit.values.get("node"), (made.__name__, service))
+        thing = things[handle] = make(process, service)
+        thing.label = state.label_of(thing, hit.values.get("node"), (make.__name__, service))
         if isinstance(thing, Client):
-            self._clients = [each for each in self._clients if each.is_alive]
+            self._clients = [client for client in self._clients if client.is_alive]
             self._clients.append(thing)
             self._by_key = {key: client for key, client in self._by_key.items() if client.is_alive}
         return thing

@@ -199,15 +199,15 @@ def known_period_ns(log: TimerLog) -> int | None:
     if not log.period_ns or log.period_ns <= 0:
         return None
     on_grid = [is_on_grid(log, begin, begin + PIECE_ROWS) for begin in range(0, len(log.rows), PIECE_ROWS)]
-    told = [each for each in on_grid if each is not None]
-    return log.period_ns if told and all(told) else called_period_ns(log)
+    decided = [answer for answer in on_grid if answer is not None]
+    return log.period_ns if decided and all(decided) else called_period_ns(log)
 
 
 def is_on_grid(log: TimerLog, begin: int, end: int) -> bool | None:
     """Whether most of these rows were due whole periods after the one before; None if that is not known for any."""
     _, due, follows = _read(log, begin, end)
-    told = due != NOT_SEEN_NS
-    passed = np.diff(due)[follows[1:] & told[1:] & told[:-1]]
+    is_due_known = due != NOT_SEEN_NS
+    passed = np.diff(due)[follows[1:] & is_due_known[1:] & is_due_known[:-1]]
     if not passed.size or not log.period_ns:
         return None
     periods = np.rint(passed / log.period_ns)
@@ -235,8 +235,8 @@ def certain_calls(log: TimerLog, clock: str, begin: int, end: int, offsets: Cloc
     """The rows from `begin` to before `end` whose lateness is certain, for the live view and the verdict."""
     at, due, follows = _read(log, begin, end)
     offset, known, step_ns = offsets.read(clock, at)
-    told = due != NOT_SEEN_NS
-    certain = told & known
+    is_due_known = due != NOT_SEEN_NS
+    certain = is_due_known & known
     follows[1:] &= certain[1:] & certain[:-1]
     skipped = 0
     if log.period_ns:
@@ -245,7 +245,7 @@ def certain_calls(log: TimerLog, clock: str, begin: int, end: int, offsets: Cloc
         skipped = int(np.maximum((passed + log.period_ns // 2) // log.period_ns - 1, 0).sum())
     new = np.flatnonzero(certain)
     new = new[new >= begin - max(begin - 1, 0)]
-    unknown = int(np.count_nonzero((told & ~known)[begin - max(begin - 1, 0) :]))
+    unknown = int(np.count_nonzero((is_due_known & ~known)[begin - max(begin - 1, 0) :]))
     return CertainCalls(at[new], due[new], (at + offset)[new], ~follows[new], skipped, unknown, step_ns)
 
 

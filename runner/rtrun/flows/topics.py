@@ -45,7 +45,9 @@ class TopicRecord(MessageRecord):
             "publish": self._publish,
             "take": self._take,
             "node_init": self._init_node,
-            "publisher_init": lambda hit, thread: self._init(hit, thread, PUBLISHER, PUBLISHERS.of(thread.process)),
+            "publisher_init": lambda hit, thread: self._init(
+                hit, thread, PUBLISHER, PUBLISHERS.table_of(thread.process)
+            ),
             "subscription_init": self._init_subscription,
             "lifecycle": self._change_state,
         }
@@ -103,7 +105,7 @@ class TopicRecord(MessageRecord):
             return
         key = key_of(hit.values)
         process = thread.process
-        endpoint = self._endpoint_of(hit, process, PUBLISHER, PUBLISHERS.of(process))
+        endpoint = self._endpoint_of(hit, process, PUBLISHER, PUBLISHERS.table_of(process))
         if endpoint is None:
             self._state.unreadable += 1
             return
@@ -132,7 +134,7 @@ class TopicRecord(MessageRecord):
             return
         key = key_of(hit.values)
         process = thread.process
-        endpoint = self._endpoint_of(hit, process, SUBSCRIBER, SUBSCRIBERS.of(process))
+        endpoint = self._endpoint_of(hit, process, SUBSCRIBER, SUBSCRIBERS.table_of(process))
         if endpoint is None or key is None:
             self._state.unreadable += 1
             thread.does_other_work()
@@ -205,7 +207,7 @@ class TopicRecord(MessageRecord):
 
     def _init_subscription(self, hit: Hit, thread: ObservedThread) -> None:
         process = thread.process
-        subscribers, subscriptions = SUBSCRIBERS.of(process), SUBSCRIPTIONS.of(process)
+        subscribers, subscriptions = SUBSCRIBERS.table_of(process), SUBSCRIPTIONS.table_of(process)
         self._init(hit, thread, SUBSCRIBER, subscribers)
         handle, endpoint = hit.values.get("subscription"), subscribers.get(hit.values.get("endpoint", ""))
         if handle is not None and endpoint is not None and self._state.has_room(handle, subscriptions):
@@ -216,7 +218,7 @@ class TopicRecord(MessageRecord):
         own."""
         thread.does_other_work()
         if hit.values.get("before") in _LEAVING:
-            for endpoint in PUBLISHERS.of(thread.process).values():
+            for endpoint in PUBLISHERS.table_of(thread.process).values():
                 if endpoint.is_alive:
                     endpoint.end.pause(hit.at_ns)
 

@@ -44,7 +44,7 @@ def _cells(row: LiveRow) -> tuple[str, ...]:
         misses = f"{grouped(row.misses)} > {time(row.deadline_ns)}"
     return (
         row.name,
-        row.of,
+        row.detail,
         grouped(row.n),
         f"{row.rate_hz:.4g}",
         time(row.median_ns),

@@ -32,7 +32,7 @@ class CallbackSource:
         return numbered(self.record.subject or "unknown", self.record.number)
 
     @property
-    def of(self) -> str:
+    def detail(self) -> str:
         return f"{self.record.label}, thread {self.record.thread}"
 
     @property

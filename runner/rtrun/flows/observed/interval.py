@@ -31,7 +31,7 @@ class EndSource:
         return self.record.topic
 
     @property
-    def of(self) -> str:
+    def detail(self) -> str:
         return f"{self.role} {self.record.label}"
 
     @property

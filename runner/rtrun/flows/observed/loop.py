@@ -34,7 +34,7 @@ class LoopSource:
         return self.record.program
 
     @property
-    def of(self) -> str:
+    def detail(self) -> str:
         return self.record.thread
 
     @property

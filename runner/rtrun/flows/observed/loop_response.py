@@ -30,7 +30,7 @@ class ResponseSource:
         return self.log.program
 
     @property
-    def of(self) -> str:
+    def detail(self) -> str:
         return self.log.thread
 
     @property

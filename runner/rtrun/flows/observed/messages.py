@@ -27,7 +27,7 @@ class MessageSource:
         return self.record.publisher.topic
 
     @property
-    def of(self) -> str:
+    def detail(self) -> str:
         return f"{self.record.publisher.label} to {self.record.subscriber.label}"
 
     @property

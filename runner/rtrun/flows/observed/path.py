@@ -24,12 +24,12 @@ class PathSource:
     publisher: End
 
     @property
-    def of(self) -> str:
+    def detail(self) -> str:
         return self.publisher.label
 
     @property
     def identity(self) -> Identity:
-        return {"path": self.name, "publisher": self.of}
+        return {"path": self.name, "publisher": self.detail}
 
     def stream(self) -> Stream:
         begin, end = self.record.rows.columns()

@@ -30,7 +30,7 @@ class ServiceSource:
         return self.record.service
 
     @property
-    def of(self) -> str:
+    def detail(self) -> str:
         return f"{self.record.client} to {self.record.server or 'nobody seen'}"
 
     @property

@@ -39,7 +39,7 @@ class Growth:
 
 
 class StreamSource(Protocol):
-    """One measured thing. `name` and `of` are shown while it grows."""
+    """One measured thing. `name` and `detail` are shown while it grows."""
 
     @property
     def record(self) -> object:
@@ -53,7 +53,7 @@ class StreamSource(Protocol):
     def name(self) -> str: ...
 
     @property
-    def of(self) -> str: ...
+    def detail(self) -> str: ...
 
     def stream(self) -> Stream:
         """The whole stream, with values that had not come at the end."""
@@ -91,16 +91,16 @@ def silent_ns(times: Rows, record: End | TimerLog, observed: FlowAccumulator, un
 
 def cuts_of(cuts: Rows, store: RowStore) -> Int64s:
     """The rows before which hits are missing; a cut before the first row is left out."""
-    (made,) = collected(store.folder, ((piece[piece > 0],) for piece in cuts.pieces()), 1)
-    return made
+    (rows,) = collected(store.folder, ((piece[piece > 0],) for piece in cuts.pieces()), 1)
+    return rows
 
 
 def segments(cuts: Int64s, rows: int, store: RowStore) -> Int64s:
     """How many cuts there are up to each row."""
     starts = range(0, rows, PIECE_ROWS)
     numbers = (np.arange(start, min(start + PIECE_ROWS, rows)) for start in starts)
-    (made,) = collected(store.folder, ((np.searchsorted(cuts, each, side="right"),) for each in numbers), 1)
-    return made
+    (counts,) = collected(store.folder, ((np.searchsorted(cuts, piece, side="right"),) for piece in numbers), 1)
+    return counts
 
 
 def without_values(kind: StreamKind, source: StreamSource, copies: Copies) -> Stream:

@@ -40,12 +40,12 @@ class TimerSource:
         return self.record.label
 
     @property
-    def of(self) -> str:
+    def detail(self) -> str:
         return numbered(self.record.name, self.record.number)
 
     @property
     def identity(self) -> Identity:
-        identity: Identity = {"node": self.name, "timer": self.of}
+        identity: Identity = {"node": self.name, "timer": self.detail}
         return {**identity, "clock": self.record.clock} if self.record.clock else identity
 
     def stream(self) -> Stream:

@@ -40,22 +40,22 @@ def origins(tables: TopologyTables, path: NodePath) -> tuple[Int64s, ...]:
     return tuple(reversed(found))
 
 
-def ages(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
-    """The age of the data at the end of each activation of the sink; `of` are their origins at the source."""
+def ages(tables: TopologyTables, path: NodePath, origin: Int64s) -> Spans:
+    """The age of the data at the end of each activation of the sink; `origin` is theirs at the source."""
     source, sink = tables.nodes[path.nodes[0]], tables.nodes[path.sink]
-    rows = np.flatnonzero(of != NONE)
-    rows = rows[(rows >= sink.first) & (of[rows] >= source.first)]
-    return Spans(begin_ns=source.release_ns[of[rows]], end_ns=sink.end_ns[rows], activation=rows)
+    rows = np.flatnonzero(origin != NONE)
+    rows = rows[(rows >= sink.first) & (origin[rows] >= source.first)]
+    return Spans(begin_ns=source.release_ns[origin[rows]], end_ns=sink.end_ns[rows], activation=rows)
 
 
-def reactions(tables: TopologyTables, path: NodePath, of: Int64s) -> Spans:
+def reactions(tables: TopologyTables, path: NodePath, origin: Int64s) -> Spans:
     """From each activation of the source to the first activation of the sink with its data, or with later data.
 
     Activations to which the sink had not reacted when the run ended are left out: see `unanswered`.
     """
     source, sink = tables.nodes[path.nodes[0]], tables.nodes[path.sink]
     # The latest data at the sink: older data may overtake newer ones through a queue.
-    known = np.maximum.accumulate(of) if of.size else of
+    known = np.maximum.accumulate(origin) if origin.size else origin
     begun = np.arange(source.first, source.release_ns.size)
     first = np.searchsorted(known, begun)
     is_answered = first < known.size
@@ -89,16 +89,21 @@ class Stage:
     reception_ns: int | None = None
 
 
-def stages(tables: TopologyTables, path: NodePath, of: tuple[Int64s, ...], activation: int) -> tuple[Stage, ...]:
-    """The chain from which an activation of the sink results, node by node; `of` are the origins of all activations."""
+def stages(
+    tables: TopologyTables, path: NodePath, path_origins: tuple[Int64s, ...], activation: int
+) -> tuple[Stage, ...]:
+    """The chain from which an activation of the sink results, node by node.
+
+    `path_origins` are the origins of all activations.
+    """
     hops: Mapping[tuple[str, str], HopTable] = {(hop.topic, hop.subscriber): hop for hop in tables.hops}
-    made = []
+    chain = []
     for place, name in enumerate(path.nodes):
-        row = int(of[place][activation])
+        row = int(path_origins[place][activation])
         publication_ns = reception_ns = None
         if place < len(path.topics):
             hop = hops[path.topics[place], path.nodes[place + 1]]
             came = int(np.flatnonzero(hop.seq == row)[0])
             publication_ns, reception_ns = int(hop.publication_ns[came]), int(hop.reception_ns[came])
-        made.append(Stage(node=tables.nodes[name], row=row, publication_ns=publication_ns, reception_ns=reception_ns))
-    return tuple(made)
+        chain.append(Stage(node=tables.nodes[name], row=row, publication_ns=publication_ns, reception_ns=reception_ns))
+    return tuple(chain)

@@ -51,13 +51,13 @@ class LatePath:
 
     def share(self, part: PathPart) -> float:
         """The share of a part in all the extra time of late reactions."""
-        return part.extra_ns / sum(max(each.extra_ns, 0.0) for each in self.parts)
+        return part.extra_ns / sum(max(any_part.extra_ns, 0.0) for any_part in self.parts)
 
 
 def late_path(tables: TopologyTables, path: NodePath, deadline_ns: int | None) -> LatePath | None:
     """Where the time of the late reactions of a path went; None if there were no reactions."""
-    of = origins(tables, path)
-    spans = reactions(tables, path, of[0])
+    path_origins = origins(tables, path)
+    spans = reactions(tables, path, path_origins[0])
     lengths = spans.end_ns - spans.begin_ns
     if not lengths.size:
         return None
@@ -68,10 +68,10 @@ def late_path(tables: TopologyTables, path: NodePath, deadline_ns: int | None) -
     if not is_late.any():
         is_late = lengths >= lengths.max()
     parts: dict[str, Int64s] = {}
-    for what, took in _parts(tables, path, of, spans):
+    for what, took in _parts(tables, path, path_origins, spans):
         if took.any():
             parts[what] = parts[what] + took if what in parts else took
-    made = (
+    path_parts = (
         PathPart(
             what=what,
             late_ns=float(took[is_late].mean()),
@@ -84,13 +84,15 @@ def late_path(tables: TopologyTables, path: NodePath, deadline_ns: int | None) -
         late=int(np.count_nonzero(is_late)),
         reactions=lengths.size,
         limit_ns=limit_ns,
-        parts=tuple(sorted(made, key=lambda part: -part.extra_ns)),
+        parts=tuple(sorted(path_parts, key=lambda part: -part.extra_ns)),
     )
 
 
-def _parts(tables: TopologyTables, path: NodePath, of: Sequence[Int64s], spans: Spans) -> Iterator[tuple[str, Int64s]]:
+def _parts(
+    tables: TopologyTables, path: NodePath, path_origins: Sequence[Int64s], spans: Spans
+) -> Iterator[tuple[str, Int64s]]:
     """What each part of the reactions took, int64 of shape (reactions,), in the order of the path."""
-    rows = [each[spans.activation] for each in of]
+    rows = [activations[spans.activation] for activations in path_origins]
     source = tables.nodes[path.nodes[0]]
     yield f"{source.name} is overtaken by its next activation", source.release_ns[rows[0]] - spans.begin_ns
     ready = source.release_ns[rows[0]]

@@ -25,11 +25,11 @@ from rtrun.plan.topology.topology import NodePath
 def topology_streams(tables: TopologyTables, plan: TopologyPlan) -> Iterator[Stream]:
     """Paths first, then hops, periods and nodes; all without the warm-up."""
     for path in plan.paths:
-        of = origins(tables, path)
-        answered = reactions(tables, path, of[0])
+        path_origins = origins(tables, path)
+        answered = reactions(tables, path, path_origins[0])
         never = unanswered(tables, path, answered) if answered.end_ns.size else 0
         yield _path(PATH, path, answered, lost=never)
-        yield _path(AGE, path, ages(tables, path, of[0]))
+        yield _path(AGE, path, ages(tables, path, path_origins[0]))
     for hop in tables.hops:
         if hop.subscriber in plan.others:
             continue
@@ -40,7 +40,7 @@ def topology_streams(tables: TopologyTables, plan: TopologyPlan) -> Iterator[Str
         table, name = tables.nodes[node.name], node.full_name
         if node.period_ns:
             yield _timer(table, name, node.period_ns)
-        release, begin, end = (each[table.first :] for each in (table.release_ns, table.begin_ns, table.end_ns))
+        release, begin, end = (column[table.first :] for column in (table.release_ns, table.begin_ns, table.end_ns))
         # A skipped point of the node's period was due, and never done.
         yield _spans(RESPONSE, {"node": name}, release, end, lost=table.skipped)
         yield _spans(CALLBACK, {"node": name, "callback": node.name}, begin, end)

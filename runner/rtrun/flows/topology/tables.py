@@ -103,9 +103,9 @@ def read_tables(folder: Path, topology: Topology) -> TopologyTables:
 def _read_node(folder: Path, topology: Topology, node: TopologyNode, hosts: Mapping[str, HostRecord]) -> NodeTable:
     path, host = folder / f"{node.name}.npy", hosts[_process(topology, node)]
     rows = read_rows(path, (*ACTIVATION, *node.inputs))
-    told = next((each for each in host.nodes if each.name == node.name), None)
-    if told is None or told.activations != len(rows):
-        number = "no activations" if told is None else f"{told.activations} activations"
+    claim = next((claim for claim in host.nodes if claim.name == node.name), None)
+    if claim is None or claim.activations != len(rows):
+        number = "no activations" if claim is None else f"{claim.activations} activations"
         raise UsageError(f"{path}: {len(rows)} rows, the process tells of {number}")
     release, begin, done, end, cpu = (np.ascontiguousarray(rows[:, place]) for place in range(len(ACTIVATION)))
     check_uptimes(path, release, begin, done, end, cpu)
@@ -115,9 +115,9 @@ def _read_node(folder: Path, topology: Topology, node: TopologyNode, hosts: Mapp
     if node.period_ns:
         points = period_points(node, host.measured_ns)
         is_on_grid = not ((release - host.start_ns - node.offset_ns) % node.period_ns).any()
-        if not is_on_grid or len(rows) + told.skipped != points:
+        if not is_on_grid or len(rows) + claim.skipped != points:
             raise UsageError(
-                f"{path}: {len(rows)} activations and {told.skipped} skipped are not the {points} points of its period"
+                f"{path}: {len(rows)} activations and {claim.skipped} skipped are not the {points} points of its period"
             )
         skipped = points - len(rows) - (period_points(node, WARM_UP_NS) - first)
     return NodeTable(
@@ -146,7 +146,7 @@ def _read_hops(
     hosts: Mapping[str, HostRecord],
 ) -> Iterator[HopTable]:
     host, own = hosts[_process(topology, node)], nodes[node.name]
-    left_ns = next((each.left_ns for each in host.executors if each.name == node.executor), 0)
+    left_ns = next((executor.left_ns for executor in host.executors if executor.name == node.executor), 0)
     for number, topic in enumerate(node.inputs):
         path = folder / f"{table_names(node)[number + 1]}.npy"
         rows = read_rows(path, RECEPTION)
