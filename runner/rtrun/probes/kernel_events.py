@@ -55,15 +55,15 @@ class KernelEvents:
             return no_values()
         rows = self.rows[some]
         event, form = self.kinds[int(rows["kind"][0])]
-        field = next((each for each in form.fields if each.name == name and each.size in _NUMBERS), None)
+        field = next((field for field in form.fields if field.name == name and field.size in _NUMBERS), None)
         if field is None:
             raise ValueError(f"the kernel's event {event} has no number {name}")
         if int(rows["size"].min()) < field.offset + field.size:
             raise ValueError(f"an event {event} that ends before its field {name}")
         begins = rows["end"].astype(np.int64) - rows["size"] + field.offset
         data = np.frombuffer(self.data, np.uint8)[begins[:, None] + np.arange(field.size)]
-        told: Int64s = data.view(_NUMBERS[field.size][field.code.isupper()]).reshape(-1).astype(np.int64)
-        return told
+        numbers: Int64s = data.view(_NUMBERS[field.size][field.code.isupper()]).reshape(-1).astype(np.int64)
+        return numbers
 
     def only(self, some: _Some) -> "KernelEvents":
         """Some of them."""

@@ -57,4 +57,4 @@ def is_observed(program: ObservedProgram, thread: ProgramThread, names: Sequence
         return thread.is_real_time
     if f"{program.file_name}/{thread.name}" in map(thread_name, names):
         return True
-    return program.file_name in names and not any(each.is_real_time for each in program.threads)
+    return program.file_name in names and not any(other.is_real_time for other in program.threads)

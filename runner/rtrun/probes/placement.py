@@ -75,7 +75,9 @@ class PlacedProbe:
     @property
     def needs_raw(self) -> bool:
         """Whether its times may be of CLOCK_MONOTONIC_RAW."""
-        return any(isinstance(each, Named) and RAW in each.names.values() for each in self.arguments.values())
+        return any(
+            isinstance(argument, Named) and RAW in argument.names.values() for argument in self.arguments.values()
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -90,8 +92,8 @@ class RefusedProbe:
 def refusals(refused: Sequence[RefusedProbe]) -> tuple[str, ...]:
     """The probes that were not placed, and why: a sentence for each library and reason."""
     alike: dict[tuple[str, str], list[str]] = {}
-    for each in refused:
-        alike.setdefault((each.path, each.reason.rpartition(": ")[2]), []).append(each.event)
+    for probe in refused:
+        alike.setdefault((probe.path, probe.reason.rpartition(": ")[2]), []).append(probe.event)
     return tuple(
         f"no probe {', '.join(dict.fromkeys(events)) if all(events) else 'at all'} in {path}: {reason}"
         for (path, reason), events in alike.items()
@@ -101,9 +103,9 @@ def refusals(refused: Sequence[RefusedProbe]) -> tuple[str, ...]:
 def costly(placed: Sequence[PlacedProbe]) -> tuple[str, ...]:
     """The probes that cost more than others: a sentence for each library."""
     events: dict[str, list[str]] = {}
-    for each in placed:
-        if each.is_stepped:
-            events.setdefault(each.path, []).append(each.event)
+    for probe in placed:
+        if probe.is_stepped:
+            events.setdefault(probe.path, []).append(probe.event)
     return tuple(
         f"each {' or '.join(dict.fromkeys(names))} in {path} takes some 10 us longer: the kernel single-steps there"
         for path, names in events.items()
@@ -132,18 +134,18 @@ def place(link: "Link", found: Sequence[ObservableProgram], *, events: Collectio
 
     `events` are the canonical names of the events to be observed. Raises TargetError.
     """
-    mapping = [(program, each) for program in found for each in program.mapped]
+    mapping = [(program, mapped_library) for program in found for mapped_library in program.mapped]
     users: dict[tuple[str, int], list[tuple[ObservableProgram, MappedLibrary]]] = {}
-    for program, each in mapping:
-        users.setdefault((each.device, each.inode), []).append((program, each))
-    release, files = _look(link, [pair for each in list(users.values())[:FILES_MAX] for pair in each])
+    for program, mapped_library in mapping:
+        users.setdefault((mapped_library.device, mapped_library.inode), []).append((program, mapped_library))
+    release, files = _look(link, [pair for pairs in list(users.values())[:FILES_MAX] for pair in pairs])
     is_shared = release >= _SHARED_SINCE
     resolved = _resolve_all(link, files.values())
 
-    def symbols_of(each: MappedLibrary) -> LibrarySymbols | NotProbed:
-        if each.is_deleted:
+    def symbols_of(mapped_library: MappedLibrary) -> LibrarySymbols | NotProbed:
+        if mapped_library.is_deleted:
             return NotProbed("its file was replaced while the program runs: restart the program")
-        file = files.get((each.device, each.inode))
+        file = files.get((mapped_library.device, mapped_library.inode))
         if file is None:
             return NotProbed("its file cannot be read, as its program has ended meanwhile, or this user is not root")
         return resolved[file.sha256]
@@ -154,13 +156,16 @@ def place(link: "Link", found: Sequence[ObservableProgram], *, events: Collectio
     left_out: dict[str, RefusedProbe] = {}
     for number_of_file, (key, of_file) in enumerate(users.items()):
         # The file may be deleted under one of its names.
-        mapped = next((each for _, each in of_file if not each.is_deleted), of_file[0][1])
+        mapped = next((mapped_library for _, mapped_library in of_file if not mapped_library.is_deleted), of_file[0][1])
         if number_of_file >= FILES_MAX:
             reason = f"probes are placed in {FILES_MAX} different files at most"
             left_out.setdefault(mapped.library, RefusedProbe(path=mapped.path, event="", reason=reason))
             continue
         symbols = symbols_of(mapped)
-        besides = [{each.library: symbols_of(each) for each in program.mapped} for program, _ in of_file]
+        besides = [
+            {mapped_library.library: symbols_of(mapped_library) for mapped_library in program.mapped}
+            for program, _ in of_file
+        ]
         if isinstance(symbols, NotProbed):
             refused.append(RefusedProbe(path=mapped.path, event="", reason=symbols.reason))
             continue
@@ -201,10 +206,10 @@ def _is_for_any(probe: Probe, besides: Sequence[Mapping[str, LibrarySymbols | No
     Programs of unknown release do not count if the release of another one is known.
     """
     answers = [_is_for(probe, beside) for beside in besides]
-    told = {each for each in answers if not isinstance(each, NotProbed)}
-    if len(told) == 2:
+    known = {answer for answer in answers if not isinstance(answer, NotProbed)}
+    if len(known) == 2:
         return NotProbed("its arguments differ between releases, and its programs are of several")
-    return told.pop() if told else answers[0]
+    return known.pop() if known else answers[0]
 
 
 def _is_for(probe: Probe, symbols: Mapping[str, LibrarySymbols | NotProbed]) -> bool | NotProbed:
@@ -237,7 +242,7 @@ def line_of(probe: Probe, symbols: LibrarySymbols, name: str, path: str, without
 
 def symbol_of(probe: Probe, symbols: LibrarySymbols) -> str | None:
     """The function that a probe takes; None if a library has none of them."""
-    return next((each for each in probe.symbols if each in symbols.offsets), None)
+    return next((symbol for symbol in probe.symbols if symbol in symbols.offsets), None)
 
 
 def _look(
@@ -247,8 +252,11 @@ def _look(
 
     A process may have ended meanwhile: each file is read through the first process that shows it.
     """
-    asked = {(program.program.pid, each.range): each for program, each in users if not each.is_deleted}
-    stdin = "".join(f"{each.device}-{each.inode} {pid} {each.range} {each.path}\n" for (pid, _), each in asked.items())
+    asked = {(program.program.pid, library.range): library for program, library in users if not library.is_deleted}
+    stdin = "".join(
+        f"{library.device}-{library.inode} {pid} {library.range} {library.path}\n"
+        for (pid, _), library in asked.items()
+    )
     first, *lines = link.check(["sh", "-c", _LOOK], deadline_s=LOOK_S, stdin=stdin).split("\n")
     release = tuple(int(number) for number in re.findall(r"\d{1,4}", first, re.ASCII)[:2])
     files = {}
@@ -257,11 +265,11 @@ def _look(
         key = (int(match[1]), match[2]) if match is not None else None
         if match is None or key not in asked:
             raise TargetError(f"{link.target.address}: no answer about a library: {line[:80]!r}")
-        each, path, size_bytes = asked[key], match[5], int(match[3])
-        mapped = f"/proc/{key[0]}/map_files/{each.range}"
-        if path not in (each.path, f"/proc/{key[0]}/root{each.path}", mapped):
-            raise TargetError(f"{link.target.address}: asked about {each.path}, it answers about {path[:200]!r}")
-        files[each.device, each.inode] = _LibraryFile(size_bytes=size_bytes, sha256=match[4], path=path)
+        library, path, size_bytes = asked[key], match[5], int(match[3])
+        mapped = f"/proc/{key[0]}/map_files/{library.range}"
+        if path not in (library.path, f"/proc/{key[0]}/root{library.path}", mapped):
+            raise TargetError(f"{link.target.address}: asked about {library.path}, it answers about {path[:200]!r}")
+        files[library.device, library.inode] = _LibraryFile(size_bytes=size_bytes, sha256=match[4], path=path)
     return release, files
 
 

@@ -239,8 +239,8 @@ class Roster:
         self._alive: dict[int, ObservedProgram] = {}
         self._seen: dict[tuple[int, int], ObservedProgram] = {}
         self._room, self._room_of_seen, self._cpu_sets = _Room(), _Room(), _CpuSets()
-        for each in found:
-            self.begin(each.program)
+        for program in found:
+            self.begin(program.program)
 
     @property
     def alive(self) -> tuple[ObservedProgram, ...]:
@@ -353,8 +353,8 @@ def _cpus(ranges: str) -> tuple[int, ...]:
     cpus: list[int] = []
     # In ascending order, as the kernel prints them: no CPU may come twice.
     lowest = 0
-    for each in ranges.split(","):
-        first, _, last = each.partition("-")
+    for part in ranges.split(","):
+        first, _, last = part.partition("-")
         begin = whole_number(first, lowest=lowest, highest=CPUS_MAX - 1)
         lowest = whole_number(last or first, lowest=begin, highest=CPUS_MAX - 1) + 1
         cpus += _EVERY_CPU[begin:lowest]
@@ -367,7 +367,7 @@ def _mapped(line: str) -> MappedLibrary | None:
     if match is None:
         raise ValueError(f"no mapping of a file: {line[:80]!r}")
     path = match[4].removesuffix(_DELETED)
-    library = next((name for name, each in libraries().items() if each.is_file(path)), None)
+    library = next((name for name, description in libraries().items() if description.is_file(path)), None)
     if library is None:
         return None
     return MappedLibrary(

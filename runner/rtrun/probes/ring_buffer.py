@@ -34,7 +34,7 @@ class PageLayout:
     data_offset: int
 
     @classmethod
-    def of(cls, header_page: str) -> "PageLayout":
+    def read(cls, header_page: str) -> "PageLayout":
         """Read the layout from the file events/header_page. Raises ValueError."""
         return cls(*subbuffer_bytes(header_page))
 

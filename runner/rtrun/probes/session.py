@@ -127,7 +127,7 @@ class _Watching:
     ) -> None:
         self._link, self._placement = link, placement
         self._probes = {probe.name: probe for probe in placement.probes}
-        self._pids = {thread.tid: each.program.pid for each in programs for thread in each.program.threads}
+        self._pids = {thread.tid: program.program.pid for program in programs for thread in program.program.threads}
         buffer_kb = min(max(limit_per_s * 2 * _EVENT_BYTES // 1024, _BUFFER_KB[0]), _BUFFER_KB[1])
         buffer_kb += _BUFFER_KERNEL_KB if kernel_events else 0
         buffer_kb += BUFFER_KB if loops is not None else 0
@@ -139,7 +139,7 @@ class _Watching:
         self._end_s = time.monotonic() + for_s + SET_UP_S
         self._arguments = (str(buffer_kb), str(limit_per_s), pattern(), *kernel_events)
         self._script = str(scripts / "watch_probes.sh")
-        watched = " ".join(str(each.program.pid) for each in programs)
+        watched = " ".join(str(program.program.pid) for program in programs)
         lines = [*(probe.line for probe in placement.probes), *([f"watch {watched}"] if watched else [])]
         lines += ["raw"] if any(probe.needs_raw for probe in placement.probes) else []
         lines += [*(loops.lines if loops is not None else ()), "go", ""]
@@ -252,18 +252,18 @@ class _Watching:
             try:
                 if isinstance(piece, bytes) and time.monotonic() > self._end_s + LATE_S:
                     raise TargetError(f"what came could not be read within {LATE_S:g} s after the end")
-                for each in self._read(reader, piece):
-                    if isinstance(each, Batch):
-                        gap_ns, seen_ns = seen_ns, max(seen_ns, each.until_ns)
+                for report in self._read(reader, piece):
+                    if isinstance(report, Batch):
+                        gap_ns, seen_ns = seen_ns, max(seen_ns, report.until_ns)
                         if reader is not None and 0 < gap_ns < reader.begin_ns:
                             gap = Gap(gap_ns, reader.begin_ns, _LOST[self._lost], self._lost)
-                            each = replace(each, gaps=(gap, *each.gaps))
+                            report = replace(report, gaps=(gap, *report.gaps))
                             self._lost = GapCause.LINK_LOST
-                        rests += sum(gap.cause is GapCause.RESTED for gap in each.gaps)
-                        yield each
+                        rests += sum(gap.cause is GapCause.RESTED for gap in report.gaps)
+                        yield report
                     elif calls == 1:
                         self._end_s = time.monotonic() + self._for_s
-                        yield self._began(each)
+                        yield self._began(report)
             except TargetError as error:
                 # The target printed something that cannot be read: nothing more is taken from it.
                 if not seen_ns:
@@ -288,9 +288,9 @@ class _Watching:
 
     def _read(self, reader: WatchReader | None, piece: "bytes | WatchReader | None") -> Iterator[Ready | Batch]:
         if isinstance(piece, bytes) and reader is not None:
-            for each in reader.feed(piece):
-                self._is_ready |= isinstance(each, Ready)
-                yield each
+            for report in reader.feed(piece):
+                self._is_ready |= isinstance(report, Ready)
+                yield report
         elif reader is not None and reader.begin_ns:
             # The call has ended.
             yield reader.rest()

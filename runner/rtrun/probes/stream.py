@@ -81,7 +81,7 @@ class Batch:
     @property
     def realtime_offset_ns(self) -> int | None:
         """By how much CLOCK_REALTIME is ahead of CLOCK_MONOTONIC at the end; None if the target does not show it."""
-        return next((each.offset_ns for each in self.clocks if each.clock == SYSTEM), None)
+        return next((reading.offset_ns for reading in self.clocks if reading.clock == SYSTEM), None)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -307,7 +307,7 @@ class WatchReader:
     def _end_block(self, kind: str, text: str) -> None:
         word, _, path = kind.partition(" ")
         if word == "header_page":
-            self._layout = PageLayout.of(text)
+            self._layout = PageLayout.read(text)
         elif word == _PROGRAMS:
             self._programs.cut()
         else:
@@ -402,15 +402,15 @@ class WatchReader:
         if of_round not in self._raw_ns and len(self._raw_ns) >= _RAW_ROUNDS_MAX:
             self._raw_ns.clear()
         marks = self._raw_ns.setdefault(of_round, ([], []))
-        for each in marks:
-            del each[_RAW_MARKS_MAX:]
+        for times in marks:
+            del times[_RAW_MARKS_MAX:]
         return marks
 
     def _clocks(self, until_ns: int) -> Iterator[ClockReading]:
         """The offsets of other clocks that were read in this round."""
         if self._realtime_offset_ns is not None:
             yield ClockReading(SYSTEM, until_ns, self._realtime_offset_ns)
-        for of_round, (marks, raw) in sorted(self._raw_ns.items(), key=lambda each: each[1][0][:1]):
+        for of_round, (marks, raw) in sorted(self._raw_ns.items(), key=lambda round_marks: round_marks[1][0][:1]):
             if not raw or len(marks) != 2 * len(raw):
                 # A line comes before the marks that belong to it; or marks were lost.
                 continue

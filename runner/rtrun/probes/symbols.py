@@ -88,10 +88,10 @@ def _read(data: bytes, names: Collection[str]) -> LibrarySymbols | NotProbed:
     )
     if segment_count > SEGMENTS_MAX or section_count > SECTIONS_MAX:
         return NotProbed(f"it claims {segment_count} segments and {section_count} sections")
-    one, places = _SEGMENT[bits]
+    segment, places = _SEGMENT[bits]
     segments = []
     for number in range(segment_count):
-        numbers = one.unpack_from(data, segments_at + number * segment_size)
+        numbers = segment.unpack_from(data, segments_at + number * segment_size)
         kind, flags, offset, address, size = (numbers[place] for place in places)
         if kind == _LOADED and flags & _EXECUTABLE:
             segments.append((address, offset, size))
@@ -99,7 +99,7 @@ def _read(data: bytes, names: Collection[str]) -> LibrarySymbols | NotProbed:
         _SECTION[bits].unpack_from(data, sections_at + number * section_size)
         for number in range(section_count if sections_at else 0)
     ]
-    table = next((each for each in sections if each[0] == _DYNAMIC_SYMBOLS), None)
+    table = next((section for section in sections if section[0] == _DYNAMIC_SYMBOLS), None)
     if table is None:
         return NotProbed("it has no table of dynamic symbols: its section headers were stripped")
     _, symbols_at, table_bytes, linked = table

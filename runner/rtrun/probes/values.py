@@ -9,15 +9,15 @@ Values = dict[str, int | str]
 
 def recorded(arguments: Mapping[str, Argument]) -> dict[str, str]:
     """What the kernel must record of the arguments: the type of each, by its name in the event."""
-    told: dict[str, str] = {}
+    types: dict[str, str] = {}
     for name, argument in arguments.items():
         if isinstance(argument, Halves):
-            told |= {f"{name}_low": argument.low, f"{name}_high": argument.high}
+            types |= {f"{name}_low": argument.low, f"{name}_high": argument.high}
         elif isinstance(argument, Seconds):
-            told |= {f"{name}_s": argument.seconds, f"{name}_ns": argument.nanoseconds}
+            types |= {f"{name}_s": argument.seconds, f"{name}_ns": argument.nanoseconds}
         else:
-            told[name] = argument if isinstance(argument, str) else argument.number
-    return told
+            types[name] = argument if isinstance(argument, str) else argument.number
+    return types
 
 
 def converter(arguments: Mapping[str, Argument], constants: Mapping[str, str | int]) -> Callable[[Values], None] | None:
@@ -72,10 +72,10 @@ def _step(name: str, argument: Argument) -> Callable[[Values], None] | None:
 
         return reduce
     if isinstance(argument, Bytes):
-        at, of = argument.at, argument.of
+        at, size_name = argument.at, argument.of
 
         def cut(values: Values) -> None:
-            bits = 8 * min(8, max(0, _number(values.get(of, 0)) - at))
+            bits = 8 * min(8, max(0, _number(values.get(size_name, 0)) - at))
             values[name] = _number(values[name]) & (1 << bits) - 1
 
         return cut

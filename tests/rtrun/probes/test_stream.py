@@ -27,7 +27,7 @@ def stamp(ns):
 
 @pytest.mark.parametrize("bits", [64, 32])
 def test_events_of_a_page(bits):
-    layout = PageLayout.of(HEADERS[bits])
+    layout = PageLayout.read(HEADERS[bits])
     begin_ns = (1 << 59) + 1000
     data = b"".join([
         event(0, take(1)), event(5, take(2, topic=b"/" + b"t" * 200 + b"\0")),
@@ -52,7 +52,7 @@ def test_events_of_a_page(bits):
     ("flags", "lost", "count"), [(0, b"", None), (1 << 31, b"", None), (3 << 30, struct.pack("<Q", 42), 42)]
 )
 def test_lost_events(flags, lost, count):
-    layout = PageLayout.of(HEADERS[64])
+    layout = PageLayout.read(HEADERS[64])
     head = read_head(page(5, event(0, take(1)), flags=flags, lost=lost), layout)
     assert (head.has_lost, head.lost, head.length) == (bool(flags), count, 4 + len(take(1)))
 
