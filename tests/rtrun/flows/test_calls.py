@@ -54,10 +54,10 @@ def accumulate(hits, paths=(("/scan", "/objects"),), recorder=None):
 
 def reactions(observed):
     """Times from the first message of the path to the last, and how many of the last ones came from nothing known."""
-    made = of_kind(observed, PATHS)
-    if not made:
+    paths = of_kind(observed, PATHS)
+    if not paths:
         return [], 0
-    (stream,) = made
+    (stream,) = paths
     return (stream.columns["end_ns"] - stream.columns["begin_ns"]).tolist(), stream.counts["unknown"]
 
 
@@ -118,33 +118,33 @@ def service(call):
 def test_copies_that_rclcpp_discards_are_no_messages(first):
     """As subscription.hpp does with what came from a publisher of its own process."""
     recorder = FlowRecorder(10_000)
-    observed = accumulate([one for call in range(50) for one in inner(call, first=first, other=service(call))],
+    observed = accumulate([event for call in range(50) for event in inner(call, first=first, other=service(call))],
                           recorder=recorder)  # fmt: skip
-    found = {one.identity["subscriber"]: one for one in of_kind(observed, MESSAGES)}
+    found = {stream.identity["subscriber"]: stream for stream in of_kind(observed, MESSAGES)}
     assert found["/driver"].counts["received"] == 50 and found["/driver"].counts["lost"] == 0
     assert all(column.size == 0 for column in found["/detector"].columns.values())
     assert found["/detector"].counts == {"copies": 50}
     assert found["/detector"].remarks[0].startswith("no values: rclcpp passes messages on by pointer")
-    ends = {(one.identity["end"], one.identity["node"]): one for one in of_kind(observed, INTERVAL)}
+    ends = {(stream.identity["end"], stream.identity["node"]): stream for stream in of_kind(observed, INTERVAL)}
     assert ends["subscriber", "/detector"].columns["timestamp_ns"].size == 0
     assert ends["subscriber", "/driver"].columns["timestamp_ns"].size == 50
     # Neither callback has the name of the topic, and what they publish comes from nothing known.
-    assert {one.identity["callback"] for one in of_kind(observed, CALLBACK)} == {"unknown", "unknown#2"}
+    assert {stream.identity["callback"] for stream in of_kind(observed, CALLBACK)} == {"unknown", "unknown#2"}
     assert reactions(observed) == ([], 100)
 
 
 def test_copies_are_no_messages_of_a_callback_that_is_known():
-    made = [
+    inits = [
         event(1, "subscription_init", subscription=10, node=1, endpoint=0xB0, topic="/scan", depth=1),
         event(2, "subscription_linked", subscription=10, object=21),
         event(3, "callback_added", object=21, callback=0xF3),
         event(4, "subscription_linked", subscription=10, object=20),
         event(5, "callback_added", object=20, callback=0xF0),
     ]
-    observed = accumulate([*made, *(one for call in range(50) for one in inner(call))])
-    found = {one.identity["subscriber"]: one for one in of_kind(observed, MESSAGES)}
+    observed = accumulate([*inits, *(event for call in range(50) for event in inner(call))])
+    found = {stream.identity["subscriber"]: stream for stream in of_kind(observed, MESSAGES)}
     assert found["/detector"].counts == {"copies": 50}
-    assert {one.identity["callback"] for one in of_kind(observed, CALLBACK)} == {"/scan"}
+    assert {stream.identity["callback"] for stream in of_kind(observed, CALLBACK)} == {"/scan"}
     assert reactions(observed) == ([], 50)
 
 
@@ -157,7 +157,9 @@ def test_messages_from_outside_are_real_where_others_are_copies():
         called = [begin(at_ns + 6 * MS + 1, intra_process=0), out(at_ns + 7 * MS), end(at_ns + 8 * MS)]
         hits += inner(call, other=outside + called)
     observed = accumulate(hits)
-    found = {(one.identity["publisher"], one.identity["subscriber"]): one for one in of_kind(observed, MESSAGES)}
+    found = {
+        (stream.identity["publisher"], stream.identity["subscriber"]): stream for stream in of_kind(observed, MESSAGES)
+    }
     assert found["/lidar", "/detector"].counts["received"] == 50
     assert found["/lidar", "/detector"].columns["callback_end_ns"].size == 50
     assert found["/detector", "/detector"].counts == {"copies": 50}
@@ -174,7 +176,7 @@ def test_a_process_without_pointers_receives_its_own_messages():
     observed = accumulate(hits)
     (messages,) = of_kind(observed, MESSAGES)
     assert messages.counts["received"] == 50
-    assert [one.identity["callback"] for one in of_kind(observed, CALLBACK)] == ["/scan"]
+    assert [stream.identity["callback"] for stream in of_kind(observed, CALLBACK)] == ["/scan"]
     # Until some calls have not shown that they are copies, nothing counts as coming from them.
     assert reactions(observed) == ([2 * MS] * 42, 8)
 
@@ -193,7 +195,7 @@ def test_a_path_of_three_topics():
     (path,) = of_kind(observed, PATHS)
     assert path.identity == {"path": "/scan,/objects,/cmd", "publisher": "/driver"}
     # Without the messages between, nothing is known.
-    missing = [one for one in hits if one.values.get("topic") != "/objects" or one.event != "take"]
+    missing = [seen_hit for seen_hit in hits if seen_hit.values.get("topic") != "/objects" or seen_hit.event != "take"]
     observed = accumulate(missing, [PATH])
     assert reactions(observed) == ([], 100)
     assert of_kind(observed, PATHS)[0].remarks == ("path unknown: 100 % of 100 messages at its end",)
@@ -215,9 +217,9 @@ def test_ends_of_callbacks_stand_beside_their_messages():
 
 def test_which_message_a_callback_of_roscpp_is_about_is_not_known():
     """Another thread took it, and no probe tells where the callback ends."""
-    start, one = 11 * S, (1, 2, 30)
+    start, payload = 11 * S, (1, 2, 30)
     hits = [
-        publish_bytes(start, one, "/scan"), take_bytes(start + 100, one, "/scan", tid=7),
+        publish_bytes(start, payload, "/scan"), take_bytes(start + 100, payload, "/scan", tid=7),
         begin(start + 200, topic="/scan"), publish_bytes(start + 210, (9, 9, 40), "/objects", pid=2, endpoint=OBJECTS),
     ]  # fmt: skip
     observed = accumulate(hits)
@@ -241,8 +243,11 @@ def test_callbacks_are_named_by_their_beginning():
     observed.observe([])
     observed.observe([node(2, "detector")])
     observed.feed(hits)
-    made = of_kind(observed, CALLBACK)
-    found = [(*one.identity.values(), (one.columns["end_ns"] - one.columns["begin_ns"]).tolist()) for one in made]
+    callbacks = of_kind(observed, CALLBACK)
+    found = [
+        (*stream.identity.values(), (stream.columns["end_ns"] - stream.columns["begin_ns"]).tolist())
+        for stream in callbacks
+    ]
     assert found == [("/arm", "/scan", 1, [1]), ("/arm", "timer 1 ms", 1, [3] * 4)]
 
 
@@ -258,12 +263,12 @@ def test_durations_by_callback_and_thread():
             begin(start + 4 * MS, 0xF2), end(start + 4 * MS + 9, 0xF2),
         ]  # fmt: skip
     recorder = FlowRecorder(25)
-    made = of_kind(accumulate(hits, recorder=recorder), CALLBACK)
+    callbacks = of_kind(accumulate(hits, recorder=recorder), CALLBACK)
     found = {
-        (one.identity["callback"], one.identity["thread"]): set(
-            (one.columns["end_ns"] - one.columns["begin_ns"]).tolist()
+        (stream.identity["callback"], stream.identity["thread"]): set(
+            (stream.columns["end_ns"] - stream.columns["begin_ns"]).tolist()
         )
-        for one in made
+        for stream in callbacks
     }
     assert found == {
         ("/scan", 1): {MS + 19},
@@ -271,7 +276,7 @@ def test_durations_by_callback_and_thread():
         ("timer 10 ms", 1): {499},
         ("unknown", 1): {9},
     }
-    assert sum(one.counts["measured"] for one in made) == 30
+    assert sum(stream.counts["measured"] for stream in callbacks) == 30
     assert len(recorder.messages) + len(recorder.callbacks) == 25 and recorder.left_out == 15
 
 
@@ -301,7 +306,9 @@ def test_a_thread_of_an_unknown_process_is_one_of_the_process_that_is_known_by_o
     observed = FlowAccumulator(begin_ns=0)
     observed.observe([node(1, "lidar", threads=[(1, "lidar"), (11, "timer")]), node(2, "detector")])
     unknown = [sent(10, tid=11), sent(20, "/by_hits", 2, 0xA1), sent(30, "/by_hits", 2, 0xA1), sent(40, "/a", tid=99)]
-    observed.feed(one._replace(pid=0) if place != 1 else one for place, one in enumerate(unknown))
+    observed.feed(
+        publication._replace(pid=0) if place != 1 else publication for place, publication in enumerate(unknown)
+    )
     found = [(stream.identity["node"], stream.counts["messages"]) for stream in streams(observed)]
     assert found == [("/lidar", 1), ("/detector", 2), ("process of thread 99", 1)]
 
@@ -368,4 +375,4 @@ def test_callbacks_within_one_another_beyond_64_were_left_by_exceptions():
     thread = observed._programs.thread(2, 2)
     assert len(thread.callbacks) == 64
     observed.feed([begin(MS * 65, callback=65)])
-    assert [each.begin_ns for each in thread.callbacks] == [MS * 65]
+    assert [callback.begin_ns for callback in thread.callbacks] == [MS * 65]

@@ -9,12 +9,18 @@ from rtrun.probes.hits import ObservedProgram, ProgramThread
 
 
 def program(name, *threads, locked=4096):
-    made = tuple(
+    program_threads = tuple(
         ProgramThread(tid=100 + k, name=thread, policy=policy, priority=priority, cpus=tuple(cpus))
         for k, (thread, policy, priority, cpus) in enumerate(threads)
     )
     return ObservedProgram(
-        pid=len(name), start_ticks=1, name=name, argv=(name,), locked_bytes=locked, libraries=(), threads=made
+        pid=len(name),
+        start_ticks=1,
+        name=name,
+        argv=(name,),
+        locked_bytes=locked,
+        libraries=(),
+        threads=program_threads,
     )
 
 
@@ -22,7 +28,7 @@ GOOD = program("good", ("main", "FIFO", 80, (0, 1)), ("recv", "FIFO", 70, (0, 1)
 
 
 @pytest.mark.parametrize(
-    ("other", "said"),
+    ("other", "sentences"),
     [
         (program("equal", ("main", "FIFO", 70, (0, 1))), set()),
         (program("elsewhere", ("main", "FIFO", 90, (2, 3))), set()),
@@ -41,13 +47,13 @@ GOOD = program("good", ("main", "FIFO", 80, (0, 1)), ("recv", "FIFO", 70, (0, 1)
             {"good: on the same CPUs with a higher priority: loop of deadline (DEADLINE 0)"},
         ),
     ],
-    ids=lambda each: each.name if isinstance(each, ObservedProgram) else "",
+    ids=lambda case: case.name if isinstance(case, ObservedProgram) else "",
 )
-def test_each_hazard_is_said_of_the_program_that_has_it(other, said):
+def test_each_hazard_is_said_of_the_program_that_has_it(other, sentences):
     lines = {re.sub(r" \(pid \d+\)", "", line) for line in hazards((GOOD, other))}
     # A program below another one is delayed by it, too: only what the case is about counts.
     lines = {line for line in lines if "good (FIFO" not in line}
-    assert {next((line for line in lines if line.startswith(text)), text) for text in said} == lines
+    assert {next((line for line in lines if line.startswith(text)), text) for text in sentences} == lines
 
 
 def test_a_hazard_of_several_programs_is_said_once():

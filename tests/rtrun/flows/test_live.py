@@ -42,8 +42,8 @@ def seen():
         observed.offset("system", second * S, second)
         for at_ns in range(second * S, (second + 1) * S, 10 * MS):
             late_ns = round(chance.expovariate(1 / 40_000))
-            told = {"timer": 7, "period_ns": 10 * MS, "clock": "system", "expected_ns": at_ns + at_ns // S}
-            hits += [hit(at_ns + late_ns, "timer_call", **told)]
+            values = {"timer": 7, "period_ns": 10 * MS, "clock": "system", "expected_ns": at_ns + at_ns // S}
+            hits += [hit(at_ns + late_ns, "timer_call", **values)]
             sent_ns = at_ns + late_ns + 1000
             taken_ns = sent_ns + round(chance.expovariate(1 / MS)) + 1
             hits += [publish(sent_ns)]
@@ -54,7 +54,7 @@ def seen():
                     publish(taken_ns + 2, "/b", pid=2, endpoint=0xA1),
                     hit(taken_ns + 3, "callback_end", pid=2, callback=9),
                 ]
-        observed.feed([one for one in hits if one[0] < (second + 1) * S])
+        observed.feed([seen_hit for seen_hit in hits if seen_hit[0] < (second + 1) * S])
         snapshots.append(live.snapshot((second + 1) * S))
     observed.offset("system", 10 * S, 9)
     snapshots.append(live.snapshot(10 * S + 1))
@@ -74,10 +74,10 @@ def values_of(stream):
 
 def test_figures_are_those_of_all_values(seen):
     observed, snapshots = seen
-    made = {kind: [one for one in streams(observed) if one.kind is kind] for kind in STREAMS.values()}
+    by_kind = {kind: [stream for stream in streams(observed) if stream.kind is kind] for kind in STREAMS.values()}
     rows = snapshots[-1].rows
-    assert len(rows) == sum(map(len, made.values()))
-    for kind, of_kind in made.items():
+    assert len(rows) == sum(map(len, by_kind.values()))
+    for kind, of_kind in by_kind.items():
         for stream, row in zip(of_kind, (row for row in rows if row.kind is kind), strict=True):
             values = values_of(stream)
             assert row.worst_ns == values.max()
@@ -89,12 +89,12 @@ def test_figures_are_those_of_all_values(seen):
             if kind is MESSAGES:
                 assert row.lost == stream.counts["lost"] > 0
     with_deadline = {(row.kind, row.name) for row in rows if row.deadline_ns is not None}
-    assert with_deadline == {(each.stream, each.name) for each in DEADLINES[:-1]}
+    assert with_deadline == {(deadline.stream, deadline.name) for deadline in DEADLINES[:-1]}
 
 
 def test_rates_are_of_the_last_second(seen):
     _, snapshots = seen
-    timer = [next(row.rate_hz for row in one.rows if row.kind is TIMER) for one in snapshots[:10]]
+    timer = [next(row.rate_hz for row in snapshot.rows if row.kind is TIMER) for snapshot in snapshots[:10]]
     assert timer[2] == 100 and timer[4] == pytest.approx(50, abs=2) and timer[9] == 100
     assert snapshots[4].remarks == ("1 gap of 0.5 s together: the kernel lost events",)
 
@@ -106,9 +106,9 @@ def test_a_timer_on_simulated_time_has_no_lateness():
     live = LiveFigures(observed, [read_stream_deadline("timer:/talker=1ms")])
     for second in range(3):
         observed.offset("system", second * S, 1_795_694_189 * S)
-        told = {"timer": 7, "period_ns": 10 * MS, "clock": "ros"}
+        values = {"timer": 7, "period_ns": 10 * MS, "clock": "ros"}
         times = range(second * S, (second + 1) * S, 10 * MS)
-        observed.feed([hit(at_ns + 5, "timer_call", expected_ns=at_ns + 3 * S, **told) for at_ns in times])
+        observed.feed([hit(at_ns + 5, "timer_call", expected_ns=at_ns + 3 * S, **values) for at_ns in times])
         (row,) = live.snapshot((second + 1) * S).rows
     assert (row.n, row.worst_ns, row.misses, row.lost) == (300, None, 0, None)
     assert "is the time simulated?" in next(streams(observed)).remarks[0]

@@ -69,7 +69,7 @@ class Kernel:
         return self.waiting.cut(10**15, [])
 
 
-def made(name="loop:arm=1ms", threads=((TID, "FIFO"),)):
+def loop_record(name="loop:arm=1ms", threads=((TID, "FIFO"),)):
     plan = ObservationPlan(for_s=1, deadlines=[read_stream_deadline(name)])
     record = LoopRecord(
         ObservationState(0, RowStore()), LoopWatch(names=plan.loops, functions={WAKEUP: SLEEP, TIMERFD: FUNCTIONS[1]})
@@ -79,9 +79,14 @@ def made(name="loop:arm=1ms", threads=((TID, "FIFO"),)):
 
 
 def running(threads, pid=7, name="arm"):
-    told = [ProgramThread(tid=tid, name="worker", policy=policy, priority=50, cpus=()) for tid, policy in threads]
-    one = program(pid)
-    return type(one)(**{key: getattr(one, key) for key in one.__slots__} | {"threads": tuple(told), "file": name})
+    program_threads = [
+        ProgramThread(tid=tid, name="worker", policy=policy, priority=50, cpus=()) for tid, policy in threads
+    ]
+    template = program(pid)
+    return type(template)(
+        **{key: getattr(template, key) for key in template.__slots__}
+        | {"threads": tuple(program_threads), "file": name}
+    )
 
 
 def log_of(record):
@@ -95,7 +100,7 @@ def fed(record, kernel, gaps=(), offset_ns=None):
 
 
 def test_each_cycle_has_a_lateness_and_a_response():
-    record, kernel = made(), Kernel()
+    record, kernel = loop_record(), Kernel()
     for number in range(20):
         kernel.cycle(S + number * MS, late_ns=10_000 * (number + 1))
     log = fed(record, kernel)
@@ -111,7 +116,7 @@ def test_each_cycle_has_a_lateness_and_a_response():
 
 
 def test_what_came_before_a_gap_is_not_joined_with_what_came_after():
-    record, kernel = made(), Kernel()
+    record, kernel = loop_record(), Kernel()
     for number in (*range(10), *range(15, 30)):
         kernel.cycle(S + number * MS)
     gap = Gap(S + 10 * MS, S + 14 * MS, "lost", GapCause.EVENTS_LOST)
@@ -123,14 +128,14 @@ def test_what_came_before_a_gap_is_not_joined_with_what_came_after():
 
 
 def test_skipped_periods_are_counted_on_a_grid_alone():
-    record, kernel = made(), Kernel()
+    record, kernel = loop_record(), Kernel()
     for number in (*range(10), *range(13, 30)):
         kernel.cycle(S + number * MS, late_ns=20_000 + 777 * number, step_ns=4 * MS if number == 9 else MS)
     log = fed(record, kernel)
     due = log.rows.read()[:, 0]
     assert log.skipped(0, due, log.period_ns()).sum() == 3
     # One that sleeps for a millisecond, whenever it has run.
-    record, kernel, due_ns = made(), Kernel(), S
+    record, kernel, due_ns = loop_record(), Kernel(), S
     for number in range(30):
         late_ns = 20_000 + 7919 * number % 40_000
         next_ns = due_ns + late_ns + 100_000 + MS
@@ -141,7 +146,7 @@ def test_skipped_periods_are_counted_on_a_grid_alone():
 
 
 def test_a_switch_that_is_not_recorded_makes_a_value_no_lower():
-    record, kernel = made(), Kernel()
+    record, kernel = loop_record(), Kernel()
     for number in range(10):
         kernel.cycle(S + number * MS)
     whole = kernel.taken()
@@ -153,7 +158,7 @@ def test_a_switch_that_is_not_recorded_makes_a_value_no_lower():
 
 
 def test_a_sleep_until_a_time_of_day():
-    record, kernel, offset_ns = made(), Kernel(), 1_700_000_000 * S
+    record, kernel, offset_ns = loop_record(), Kernel(), 1_700_000_000 * S
     for number in range(20):
         kernel.cycle(S + number * MS, soft_ns=S + (number + 1) * MS + offset_ns)
     log = fed(record, kernel, offset_ns=offset_ns)
@@ -170,7 +175,7 @@ def test_a_sleep_until_a_time_of_day():
 
 @pytest.mark.parametrize("soft_ns", [2**63 - 1, -(2**63), -1, 0])
 def test_times_that_cannot_be_are_left_out(soft_ns):
-    record, kernel = made(), Kernel()
+    record, kernel = loop_record(), Kernel()
     for number in range(3):
         kernel.cycle(S + number * MS, soft_ns=soft_ns)
     due = fed(record, kernel).rows.read()[:, 0]
@@ -178,30 +183,30 @@ def test_times_that_cannot_be_are_left_out(soft_ns):
 
 
 def test_what_the_kernel_lacks_is_named():
-    record, kernel = made(), Kernel(hrtimer_start=(("hrtimer", 8, 0), ("function", 8, 0), ("expires", 8, 1)))
+    record, kernel = loop_record(), Kernel(hrtimer_start=(("hrtimer", 8, 0), ("function", 8, 0), ("expires", 8, 1)))
     kernel.cycle(S)
     fed(record, kernel)
     assert [*record.missing] == [
         "the kernel's event timer/hrtimer_start has no number softexpires: no loop is measured"
     ]
-    record, kernel = made(), Kernel()
+    record, kernel = loop_record(), Kernel()
     kernel.cycle(S)
     events = kernel.taken()
     record.feed(type(events)(events.at_ns, events.rows, events.data, events.kinds[1:]), (), None)
     assert [*record.missing] == ["the kernel has no event timer/hrtimer_start: no loop is measured"]
-    record, kernel = made(), Kernel()
+    record, kernel = loop_record(), Kernel()
     kernel.waiting.add(S, 0, 0, TID, 0, bytes(12))
     fed(record, kernel)
     assert [*record.missing] == ["an event timer/hrtimer_start that ends before its field hrtimer: no loop is measured"]
 
 
 def test_a_named_program_means_its_real_time_threads_once_it_has_some():
-    record = made(threads=[(TID, "OTHER"), (OTHER, "OTHER")])
+    record = loop_record(threads=[(TID, "OTHER"), (OTHER, "OTHER")])
     assert [*record.logs] == [("arm", "worker"), ("arm", "worker#2")]
     record.observe([running([(TID, "OTHER"), (OTHER, "FIFO")])])
     assert [log.thread for log in record.logs.values() if log.is_shown] == ["worker#2"]
     # The real-time thread gets the name, but not the values, of the one that it takes the place of.
-    record, kernel = made(threads=[(TID, "OTHER")]), Kernel()
+    record, kernel = loop_record(threads=[(TID, "OTHER")]), Kernel()
     for number in range(3):
         kernel.cycle(S + number * MS)
     assert len(fed(record, kernel).rows) == 2
@@ -211,13 +216,13 @@ def test_a_named_program_means_its_real_time_threads_once_it_has_some():
 
 
 def test_no_more_threads_than_the_limit():
-    record = made(threads=[(tid, "FIFO") for tid in range(1000, 2000)])
+    record = loop_record(threads=[(tid, "FIFO") for tid in range(1000, 2000)])
     assert len(record.threads) == len(record.logs) == 100
 
 
 def test_a_timer_that_expires_while_its_thread_waits_for_a_lock():
     """Whoever gives the lock back wakes the thread, not the timer; it takes note of that when it reads the timer."""
-    record, kernel = made(), Kernel()
+    record, kernel = loop_record(), Kernel()
     kernel.add(S, START, 0xB0, TIMERFD, S + MS, tid=TID)
     kernel.add(S + 10, SWITCH, TID, OTHER, 1, tid=TID)
     kernel.add(S + MS + 100, EXPIRY, 0xB0, TIMERFD)
@@ -229,7 +234,7 @@ def test_a_timer_that_expires_while_its_thread_waits_for_a_lock():
 
 
 def test_a_thread_that_others_run_instead_of_has_not_ended_its_cycle():
-    record, kernel = made(), Kernel()
+    record, kernel = loop_record(), Kernel()
     kernel.cycle(S)
     kernel.cycle(S + MS)
     kernel.add(S + 2 * MS + 1000, EXPIRY, 0xA0, WAKEUP)

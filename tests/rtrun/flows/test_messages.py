@@ -34,13 +34,13 @@ PAIR = {"topic": "/a", "publisher": "/talker", "subscriber": "/listener"}
 
 def messages(observed):
     """The streams of messages by the labels of their ends."""
-    made = [stream for stream in streams(observed) if stream.kind is MESSAGES]
-    return {(one.identity["publisher"], one.identity["subscriber"]): one for one in made}
+    pairs = [stream for stream in streams(observed) if stream.kind is MESSAGES]
+    return {(stream.identity["publisher"], stream.identity["subscriber"]): stream for stream in pairs}
 
 
 def ends(observed):
-    made = [stream for stream in streams(observed) if stream.kind is INTERVAL]
-    return {(one.identity["end"], one.identity["node"]): one for one in made}
+    intervals = [stream for stream in streams(observed) if stream.kind is INTERVAL]
+    return {(stream.identity["end"], stream.identity["node"]): stream for stream in intervals}
 
 
 def check(observed, truth, *, is_complete=True):
@@ -117,9 +117,9 @@ def test_what_no_publication_is_known_of_is_said_once_for_a_subscriber():
     observed = FlowAccumulator(begin_ns=0)
     sent = [publish(10 * pid, pid=pid, endpoint=pid) for pid in (1, 3)]
     observed.feed([*sent, take(100, 10), take(101, 30), take(102, 5)])
-    told = [(one.kind, one.identity, one.remarks) for one in streams(observed) if one.remarks]
-    assert len(messages(observed)) == 2 and len(told) == 1
-    ((kind, identity, (remark,)),) = told
+    remarked = [(stream.kind, stream.identity, stream.remarks) for stream in streams(observed) if stream.remarks]
+    assert len(messages(observed)) == 2 and len(remarked) == 1
+    ((kind, identity, (remark,)),) = remarked
     assert (kind, identity["end"], identity["topic"]) == (INTERVAL, "subscriber", "/a")
     assert remark.startswith("1 message came whose publication was not seen, of whatever publisher: ")
 
@@ -254,8 +254,8 @@ def test_payloads_that_begin_with_their_time_are_matched_at_once(is_told):
         own = second + (nanosecond << 32), number, 100
         observed.feed([publish_bytes(at_ns + 10, own, "/b", endpoint=1), take_bytes(at_ns + 20, own, "/b", endpoint=1)])
     observed.finish()
-    of = {stream.identity["topic"]: stream.counts for stream in streams(observed) if stream.kind is MESSAGES}
-    assert of["/a"]["received"] == 100 * is_told and of["/b"]["received"] == 100
+    counts = {stream.identity["topic"]: stream.counts for stream in streams(observed) if stream.kind is MESSAGES}
+    assert counts["/a"]["received"] == 100 * is_told and counts["/b"]["received"] == 100
 
 
 @pytest.mark.parametrize("latency_ns", [MS, 15 * MS, 40 * MS])
@@ -339,11 +339,11 @@ def test_what_a_latched_topic_gives_to_a_subscriber_that_came_later_has_no_laten
     observed = FlowAccumulator(begin_ns=0, horizon_ns=1000)
     for word in seen.split():
         at_ns, payload = 5000 + int(word[1:]), (1, 2, 30)
-        made = {
+        inits = {
             "s": hit(at_ns, "subscription_init", pid=2, endpoint=0xB0, topic="/a"),
             "t": take_bytes(at_ns, payload),
         }
-        observed.feed([made.get(word[0]) or publish_bytes(at_ns, payload, pid=ord(word[0]))])
+        observed.feed([inits.get(word[0]) or publish_bytes(at_ns, payload, pid=ord(word[0]))])
     observed.finish()
     rows = []
     for stream in messages(observed).values():
@@ -364,8 +364,8 @@ def test_what_could_not_be_told_apart_is_named_by_what_was_compared():
     observed.feed([*bytes_of_two, take_bytes(5010, payload), take_bytes(5011, payload)])
     observed.feed([*stamps_of_two, take(6010, 7 - WALL_NS, "/b", endpoint=0xB1)])
     observed.finish()
-    made = [stream for stream in streams(observed) if stream.kind is MESSAGES]
-    assert {(stream.identity["topic"], stream.remarks) for stream in made} == {
+    pairs = [stream for stream in streams(observed) if stream.kind is MESSAGES]
+    assert {(stream.identity["topic"], stream.remarks) for stream in pairs} == {
         (topic, (f"not known of 1 publication whether they came: other messages have the same {compared}",))
         for topic, compared in (("/a", "first 12 bytes and length"), ("/b", "time stamp"))
     }
@@ -434,8 +434,8 @@ def test_what_a_restarted_subscriber_takes_late_counts_once():
 
 def test_messages_published_before_a_subscription_was_made_have_no_latency():
     observed = FlowAccumulator(begin_ns=0)
-    made = hit(1000, "subscription_init", pid=2, endpoint=0xB0, node=1, topic="/a", depth=1)
-    observed.feed([publish(100), made, take(1100, 100), publish(1200), take(1300, 1200)])
+    init = hit(1000, "subscription_init", pid=2, endpoint=0xB0, node=1, topic="/a", depth=1)
+    observed.feed([publish(100), init, take(1100, 100), publish(1200), take(1300, 1200)])
     observed.finish()
     (stream,) = messages(observed).values()
     assert stream.columns["publication_ns"].tolist() == [1200]
@@ -560,8 +560,10 @@ def test_silence_is_a_stall_until_a_node_is_deactivated(before, at_s, open_s):
 def test_names_that_are_alike_when_printed_stay_two():
     observed = FlowAccumulator(begin_ns=0)
     observed.feed([publish(1, "/\x1b"), publish(2, "/\x1c", endpoint=2)])
-    made = [tuple(stream.identity.items()) for stream in streams(observed)]
-    assert len(set(made)) == 2 and all(str(value).isprintable() for one in made for _, value in one)
+    identities = [tuple(stream.identity.items()) for stream in streams(observed)]
+    assert len(set(identities)) == 2 and all(
+        str(value).isprintable() for identity in identities for _, value in identity
+    )
 
 
 def test_unmatched_publications_are_forgotten_after_the_horizon():

@@ -47,7 +47,7 @@ def test_rows_are_read_as_they_were_added(monkeypatch, tmp_path, all_on_disk):
         assert table[-1] == number == table[len(expected) - 1]
     for table, expected in tables:
         assert np.concatenate([*table.pieces()]).tolist() == expected
-        assert [each.tolist() for each in table.columns()] == np.array(expected).T.tolist()
+        assert [column.tolist() for column in table.columns()] == np.array(expected).T.tolist()
         within = [row[0] for row in expected if 50 <= row[0] < 90]
         assert table.between(50, 90).tolist() == within
     assert not list(tmp_path.iterdir()), "the file has a name"
@@ -57,11 +57,11 @@ def test_rows_in_order(all_on_disk):
     chance = random.Random(2)
     store = RowStore()
     table = store.rows(2)
-    made = [[chance.randrange(number // 2, number + 20), number] for number in range(300)]
-    for row in made:
+    numbers = [[chance.randrange(number // 2, number + 20), number] for number in range(300)]
+    for row in numbers:
         table.add(row)
     pieces = [*table.in_order(0)]
-    assert np.concatenate(pieces).tolist() == sorted(made, key=lambda row: row[0])
+    assert np.concatenate(pieces).tolist() == sorted(numbers, key=lambda row: row[0])
     assert max(map(len, pieces)) < 300
 
 
@@ -76,12 +76,12 @@ def test_streams_are_the_same_from_the_disk(request, system):
     request.getfixturevalue("all_on_disk")
     from_disk, after = read()
     assert before == after and len(in_memory) == len(from_disk) > 2
-    assert any(isinstance(column, np.memmap) for one in from_disk for column in one.columns.values())
-    for one, other in zip(in_memory, from_disk, strict=True):
+    assert any(isinstance(column, np.memmap) for stream in from_disk for column in stream.columns.values())
+    for stream, other in zip(in_memory, from_disk, strict=True):
         for name in ("kind", "identity", "counts", "remarks", "open_ns", "period_ns"):
-            assert getattr(one, name) == getattr(other, name), name
-        assert one.columns.keys() == other.columns.keys() and np.array_equal(one.cuts, other.cuts)
-        assert all(np.array_equal(column, other.columns[key]) for key, column in one.columns.items())
+            assert getattr(stream, name) == getattr(other, name), name
+        assert stream.columns.keys() == other.columns.keys() and np.array_equal(stream.cuts, other.cuts)
+        assert all(np.array_equal(column, other.columns[key]) for key, column in stream.columns.items())
 
 
 def test_timers_are_the_same_from_the_disk(request):
@@ -89,9 +89,9 @@ def test_timers_are_the_same_from_the_disk(request):
 
     def read():
         observed = FlowAccumulator(begin_ns=0)
-        told = {"timer": 5, "period_ns": 10 * MS, "clock": "steady"}
+        timer_values = {"timer": 5, "period_ns": 10 * MS, "clock": "steady"}
         numbers = [n for n in range(1, 300) if n % 14]
-        calls = [hit(n * 10 * MS + n, "timer_call", expected_ns=n * 10 * MS, **told) for n in numbers]
+        calls = [hit(n * 10 * MS + n, "timer_call", expected_ns=n * 10 * MS, **timer_values) for n in numbers]
         observed.feed([*calls, gap(1.2, 1.3)._replace(from_ns=1200 * MS, until_ns=1300 * MS)])
         (stream,) = streams(observed)
         return stream
@@ -140,17 +140,17 @@ def test_a_disk_that_is_full(monkeypatch, all_on_disk):
     (pair,) = observed.topics.pairs.values()
     assert len(pair.rows) == 30 and pair.rows.read()[-1].tolist()[:2] == [99 * MS, 100 * MS]
     monkeypatch.setattr(columns.tempfile, "TemporaryFile", refuse)
-    made = [*streams(observed)]
-    assert [stream.identity for stream in made if stream.trouble] == [stream.identity for stream in made]
-    assert not any(stream.columns for stream in made)
+    found = [*streams(observed)]
+    assert [stream.identity for stream in found if stream.trouble] == [stream.identity for stream in found]
+    assert not any(stream.columns for stream in found)
 
 
 def test_time_without_a_link_is_not_kept_as_objects():
     """A publisher that is made anew before each message begins a new count each time."""
     observed = FlowAccumulator(begin_ns=0)
     for n in range(1, 500):
-        made = hit(2 * n * MS - 1, "publisher_init", endpoint=0xA0, topic="/a")
-        observed.feed([made, publish(2 * n * MS), take(2 * n * MS + 5, 2 * n * MS)])
+        init = hit(2 * n * MS - 1, "publisher_init", endpoint=0xA0, topic="/a")
+        observed.feed([init, publish(2 * n * MS), take(2 * n * MS + 5, 2 * n * MS)])
     (pair,) = observed.topics.pairs.values()
     assert len(pair.links) == 498 and pair.lost_so_far == 0
     assert decided.DecidedMessages(pair).counts().received == 499
@@ -166,9 +166,12 @@ def test_receptions_that_may_be_any_of_many_messages(monkeypatch):
         many = [publish(n * MS + m, stamp=5) for m in range(50)]
         observed.feed([*many, hit(n * MS + 500, "take", pid=1000 + n, topic="/a", source_ns=5)])
         remembered = {
-            id(one): one for each in observed.topics._matchings() for some in each._open.values() for one in some
+            id(publication): publication
+            for matching in observed.topics._matchings()
+            for some in matching._open.values()
+            for publication in some
         }
-        taken = sum(len(one.takers) for one in remembered.values())
+        taken = sum(len(publication.takers) for publication in remembered.values())
         assert observed.topics.takers == taken
         most = max(most, taken)
     assert 400 < most <= 500
@@ -182,11 +185,11 @@ def test_receptions_of_one_round_that_may_be_any_of_many_messages(monkeypatch):
     seen = []
     ambiguous = observed.topics.ambiguous
     monkeypatch.setattr(
-        observed.topics, "ambiguous", lambda *told: (ambiguous(*told), seen.append(observed.topics.takers))
+        observed.topics, "ambiguous", lambda *outcome: (ambiguous(*outcome), seen.append(observed.topics.takers))
     )
-    made = []
+    hits = []
     for n in range(1, 200):
-        made += [publish(n * MS + m, stamp=5) for m in range(50)]
-        made.append(hit(n * MS + 500, "take", pid=n, topic="/a", source_ns=5))
-    observed.feed(made)
+        hits += [publish(n * MS + m, stamp=5) for m in range(50)]
+        hits.append(hit(n * MS + 500, "take", pid=n, topic="/a", source_ns=5))
+    observed.feed(hits)
     assert 900 < max(seen) <= 1000 + 64

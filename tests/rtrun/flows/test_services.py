@@ -29,20 +29,20 @@ class Release:
         return [sent, numbered] if self.has_numbers else [sent]
 
     def take(self, at_ns, number, *, tid=None, taken=1):
-        told = {**self.gid, "number": number, "taken": taken} if self.has_numbers else {}
-        return [hit(at_ns, "request_take", pid=self.server, tid=tid, endpoint=0xD0, service=NAME, **told)]
+        values = {**self.gid, "number": number, "taken": taken} if self.has_numbers else {}
+        return [hit(at_ns, "request_take", pid=self.server, tid=tid, endpoint=0xD0, service=NAME, **values)]
 
     def answer(self, at_ns, number, *, tid=None):
-        told = {**self.gid, "number": number}
-        return [hit(at_ns, "response_send", pid=self.server, tid=tid, endpoint=0xD0, service=NAME, **told)]
+        values = {**self.gid, "number": number}
+        return [hit(at_ns, "response_send", pid=self.server, tid=tid, endpoint=0xD0, service=NAME, **values)]
 
     def receive(self, at_ns, number, *, taken=1):
-        told = {"number": number, "taken": taken} if self.has_numbers else {}
-        return [hit(at_ns, "response_take", pid=self.client, endpoint=0xC0, service=NAME, **told)]
+        values = {"number": number, "taken": taken} if self.has_numbers else {}
+        return [hit(at_ns, "response_take", pid=self.client, endpoint=0xC0, service=NAME, **values)]
 
     def call(self, at_ns, number, before):
         parts = self.take(at_ns + 10, number), self.answer(at_ns + 40, number), self.receive(at_ns + 60, number)
-        return [*self.send(at_ns, number, before), *(each for part in parts for each in part)]
+        return [*self.send(at_ns, number, before), *(seen_hit for part in parts for seen_hit in part)]
 
 
 def accumulate(hits, until_ns=0):
@@ -74,19 +74,19 @@ def test_a_call_has_its_parts(has_numbers):
         asked=2, measured=2, not_fired=0, missing=0, out_of_order=0, skipped=None, is_complete=True, requested={}
     )
     series = KIND.series(stream.columns, stated, None)
-    assert {name: one.values_ns.tolist() for name, one in series.items()} == {
+    assert {name: values.values_ns.tolist() for name, values in series.items()} == {
         "latency": [60, 60], "there": [10, 10], "work": [30, 30], "back": [20, 20],
     }  # fmt: skip
 
 
 @both
 def test_clients_with_the_same_numbers_have_their_own_answers(has_numbers):
-    one, two = Release(has_numbers), Release(has_numbers, client=2, gid=8)
+    first, second = Release(has_numbers), Release(has_numbers, client=2, gid=8)
     hits = [
-        *one.send(100, 1, 0), *two.send(101, 1, 0),
+        *first.send(100, 1, 0), *second.send(101, 1, 0),
         # A look that finds nothing: the answer was the other client's.
-        *two.take(110, 1), *two.answer(120, 1), *one.receive(125, 1, taken=0)[: has_numbers],
-        *one.take(130, 1), *one.answer(140, 1), *two.receive(150, 1), *one.receive(170, 1),
+        *second.take(110, 1), *second.answer(120, 1), *first.receive(125, 1, taken=0)[: has_numbers],
+        *first.take(130, 1), *first.answer(140, 1), *second.receive(150, 1), *first.receive(170, 1),
     ]  # fmt: skip
     found = {stream.identity["client"]: rows(stream) for stream in services(accumulate(hits))}
     assert found == {"/planner": [(100, 170, 130, 140)], "/planner#2": [(101, 150, 110, 120)]}
@@ -194,7 +194,7 @@ def test_what_was_sent_before_a_gap_is_not_joined_with_what_comes_after(has_numb
 
 def test_requests_that_nobody_answers_are_counted_beyond_those_that_are_kept():
     calls = Release(True)
-    hits = [each for number in range(1, 1201) for each in calls.send(number * 100, number, number - 1)]
+    hits = [seen_hit for number in range(1, 1201) for seen_hit in calls.send(number * 100, number, number - 1)]
     (stream,) = services(accumulate(hits, 10 * S))
     assert stream.counts["lost"] + stream.counts["unanswered"] == 1200
 

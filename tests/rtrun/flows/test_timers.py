@@ -18,8 +18,8 @@ PERIOD_NS = 10 * MS
 def calls(number, *, late=lambda call: 1000 * (call % 7), offset=lambda at_ns: 0, timer=0xC0, first=0, **values):
     """Calls of a timer, each due a period after the one before, on a clock that is ahead of the hits' one."""
     due = [(first + call) * PERIOD_NS for call in range(1, number + 1)]
-    told = {"period_ns": PERIOD_NS, "clock": "steady", "timer": timer} | values
-    return [hit(at + late(call), "timer_call", expected_ns=at + offset(at), **told) for call, at in enumerate(due)]
+    reported = {"period_ns": PERIOD_NS, "clock": "steady", "timer": timer} | values
+    return [hit(at + late(call), "timer_call", expected_ns=at + offset(at), **reported) for call, at in enumerate(due)]
 
 
 def timers(observed):
@@ -43,9 +43,9 @@ def test_lateness_on_the_clock_of_the_hits():
 
 
 def test_periods_without_a_call_are_counted():
-    made = calls(100)
-    del made[40:43], made[10]
-    (stream,) = timers(accumulate(made))
+    called = calls(100)
+    del called[40:43], called[10]
+    (stream,) = timers(accumulate(called))
     assert stream.counts["skipped"] == 4
 
 
@@ -63,9 +63,11 @@ def drifting(at_ns):
 def executed(call, late_ns, *, tid=1, is_told=True, callback=0xF0):
     """The thread that spins takes a queued call, and its callback takes 2 ms."""
     at_ns, expected_ns = call.values["expected_ns"] + late_ns, call.values["expected_ns"]
-    told = [hit(at_ns - 10, "timer_execute", tid=tid, timer=call.values["timer"], expected_ns=expected_ns)] * is_told
+    executes = [
+        hit(at_ns - 10, "timer_execute", tid=tid, timer=call.values["timer"], expected_ns=expected_ns)
+    ] * is_told
     return [
-        *told,
+        *executes,
         hit(at_ns, "callback_begin", tid=tid, callback=callback, intra_process=0),
         hit(at_ns + 2 * MS, "callback_end", tid=tid, callback=callback),
     ]
@@ -74,9 +76,9 @@ def executed(call, late_ns, *, tid=1, is_told=True, callback=0xF0):
 def queued(number, late, **values):
     """A timer of EventsExecutor: thread 9 calls it in time and queues its callback, which begins late on thread 1."""
     return [
-        each
+        seen_hit
         for place, call in enumerate(calls(number, late=lambda call: 900))
-        for each in (call._replace(tid=9), *executed(call, late(place), **values))
+        for seen_hit in (call._replace(tid=9), *executed(call, late(place), **values))
     ]
 
 
@@ -97,14 +99,14 @@ def up_to_three_periods(call):
 
 
 @pytest.mark.parametrize(
-    ("made", "is_told"),
+    ("called", "is_told"),
     [([], True), (MADE, True), (MADE, False)],
     ids=["ran before, Jazzy", "begins, Jazzy", "begins, Iron"],
 )
-def test_the_lateness_of_a_queued_timer_ends_where_its_callback_begins(made, is_told):
+def test_the_lateness_of_a_queued_timer_ends_where_its_callback_begins(called, is_told):
     """Not where another thread calls it, which is in time."""
     late = [up_to_three_periods(call) for call in range(200)]
-    (stream,) = timers(accumulate([*made, *queued(200, up_to_three_periods, is_told=is_told)]))
+    (stream,) = timers(accumulate([*called, *queued(200, up_to_three_periods, is_told=is_told)]))
     assert late_of(stream) == late and stream.remarks == ()
     assert stream.columns["timestamp_ns"].tolist() == [call * PERIOD_NS + late[call - 1] for call in range(1, 201)]
     assert stream.counts == {"calls": 200, "measured": 200, "skipped": 0}
@@ -138,9 +140,9 @@ def test_calls_that_were_taken_for_begins_are_forgotten():
 def test_a_callback_on_the_thread_of_its_call_is_its_own():
     """As all executors but EventsExecutor do, and that one, too, if it has a thread for timers."""
     hits = [
-        each
+        seen_hit
         for place, call in enumerate(calls(100, late=lambda call: 900))
-        for each in (call, *executed(call, 1000 + place, is_told=False))
+        for seen_hit in (call, *executed(call, 1000 + place, is_told=False))
     ]
     (stream,) = timers(accumulate(hits))
     assert late_of(stream) == [1000 + place for place in range(100)]
@@ -157,7 +159,7 @@ def test_two_threads_that_call_a_timer_begin_their_own_callbacks():
 
 def test_calls_that_were_queued_before_are_not_taken_for_later_ones():
     """Three callbacks wait when the observation begins: were they those of the next calls, all would be in time."""
-    seen = [one for one in sorted(queued(100, lambda call: 31 * MS)) if one.at_ns > 5 * PERIOD_NS]
+    seen = [seen_hit for seen_hit in sorted(queued(100, lambda call: 31 * MS)) if seen_hit.at_ns > 5 * PERIOD_NS]
     (stream,) = timers(accumulate(seen))
     assert late_of(stream) == [31 * MS] * 99
 
@@ -165,10 +167,10 @@ def test_calls_that_were_queued_before_are_not_taken_for_later_ones():
 def test_a_queued_callback_that_is_due_off_the_grid_is_not_believed():
     """In a release whose data is laid out in another way, what is read there is not when it was due."""
     off = [
-        one._replace(values={**one.values, "expected_ns": one.values["expected_ns"] + 1})
-        if one.event == "timer_execute"
-        else one
-        for one in queued(100, lambda call: 31 * MS)
+        seen_hit._replace(values={**seen_hit.values, "expected_ns": seen_hit.values["expected_ns"] + 1})
+        if seen_hit.event == "timer_execute"
+        else seen_hit
+        for seen_hit in queued(100, lambda call: 31 * MS)
     ]
     (stream,) = timers(accumulate(off))
     assert set(stream.columns) == {"timestamp_ns", "segment"} and stream.counts["measured"] == 100
@@ -188,7 +190,9 @@ def test_after_a_gap_the_order_does_not_tell_which_call_a_callback_belongs_to():
 def test_a_call_whose_callback_never_begins_shifts_no_later_one():
     """It was cancelled, or its executor ended."""
     hits = queued(100, lambda call: MS)
-    dropped = [one for place, one in enumerate(hits) if not 40 <= place < 80 or one.event == "timer_call"]
+    dropped = [
+        seen_hit for place, seen_hit in enumerate(hits) if not 40 <= place < 80 or seen_hit.event == "timer_call"
+    ]
     (stream,) = timers(accumulate(dropped))
     assert set(late_of(stream)) == {MS} and stream.counts["calls"] == 100 and len(late_of(stream)) == 90
 
@@ -241,8 +245,8 @@ def test_a_clock_that_is_set_has_no_lateness_around_that():
     ],
 )
 def test_no_lateness_is_guessed(values, reason):
-    made = [one._replace(values={**one.values, **values}) for one in calls(50)]
-    observed = accumulate(made)
+    called = [seen_hit._replace(values={**seen_hit.values, **values}) for seen_hit in calls(50)]
+    observed = accumulate(called)
     if values.get("clock") == "ros":
         for at_ns in (0, S):
             observed.offset("system", at_ns, 1_700_000_000 * S)
@@ -253,11 +257,11 @@ def test_no_lateness_is_guessed(values, reason):
 
 def test_timers_that_are_called_once_are_not_listed():
     """As rclpy's spin_once makes them, at the same address each time or not."""
-    made = []
+    hits = []
     for at_ns in range(0, 100 * MS, MS):
         handle = 0xD0 + at_ns // MS % 3
-        made += [hit(at_ns, "timer_init", timer=handle, period_ns=MS), hit(at_ns + 10, "timer_call", timer=handle)]
-    assert timers(accumulate(made)) == []
+        hits += [hit(at_ns, "timer_init", timer=handle, period_ns=MS), hit(at_ns + 10, "timer_call", timer=handle)]
+    assert timers(accumulate(hits)) == []
 
 
 def test_a_timer_of_a_restarted_program_is_measured_on():
@@ -274,18 +278,20 @@ def test_timers_of_a_node_are_told_apart():
         hit(2, "timer_init", timer=0xC0, period_ns=PERIOD_NS),
         hit(3, "timer_linked", timer=0xC0, node=1),
     ]
-    told = sorted([*calls(50), *calls(50, timer=0xC1), *calls(50, timer=0xC2, clock="raw")], key=lambda one: one.at_ns)
+    called = sorted(
+        [*calls(50), *calls(50, timer=0xC1), *calls(50, timer=0xC2, clock="raw")], key=lambda seen_hit: seen_hit.at_ns
+    )
     observed = FlowAccumulator(begin_ns=0)
     observed.observe([])
     observed.observe([node(1, "controller")])
-    observed.feed([hit(0, "node_init", node=2, name="leg", namespace="/"), *begun, *told])
+    observed.feed([hit(0, "node_init", node=2, name="leg", namespace="/"), *begun, *called])
     names = [(stream.identity["node"], stream.identity["timer"]) for stream in timers(observed)]
     assert names == [("/arm", "timer 10 ms"), ("/controller", "timer 10 ms"), ("/controller", "timer 10 ms")]
 
 
 def test_another_period_makes_another_timer():
-    made = [*calls(50), *(hit(S + call * 20 * MS, "timer_call", timer=0xC0, period_ns=20 * MS) for call in range(50))]
-    found = timers(accumulate(made))
+    called = [*calls(50), *(hit(S + call * 20 * MS, "timer_call", timer=0xC0, period_ns=20 * MS) for call in range(50))]
+    found = timers(accumulate(called))
     assert [stream.period_ns for stream in found] == [10 * MS, 20 * MS]
     assert [stream.counts["calls"] for stream in found] == [50, 50]
 

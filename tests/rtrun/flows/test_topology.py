@@ -44,7 +44,7 @@ def graph(rules):
 def play(topology, seed):
     """Play it: tables as the programs would have written them, and of each activation the data that it knew."""
     draw = random.Random(seed)
-    until, free = UNTIL, dict.fromkeys((each.name for each in topology.executors), 0)
+    until, free = UNTIL, dict.fromkeys((executor.name for executor in topology.executors), 0)
     rows = {node.name: [] for node in topology.nodes}
     came = {node.name: [] for node in topology.nodes}  # seq, published, received, taken
     arrivals = {node.name: [] for node in topology.nodes}
@@ -52,7 +52,7 @@ def play(topology, seed):
     clock = 0
     while clock < until + 300 * MS:
         for place, node in enumerate(topology.nodes):
-            ready = [each for each in arrivals[node.name] if each[2] <= clock]
+            ready = [arrival for arrival in arrivals[node.name] if arrival[2] <= clock]
             free_at = free[node.executor]
             due = len(rows[node.name]) * node.period_ns if node.period_ns else None
             if clock < free_at:
@@ -132,30 +132,30 @@ def test_reactions_and_ages_are_those_of_the_messages(rules, seed):
     rows, came, origin = play(topology, seed)
     tables = tables_of(topology, rows, came, 50 * MS)
     (path,) = topology.all_paths()
-    of = origins(tables, path)
+    path_origins = origins(tables, path)
     sink, source = path.sink, path.nodes[0]
-    assert of[0].tolist() == origin[sink]
+    assert path_origins[0].tolist() == origin[sink]
     first = tables.nodes[source].first
     expected = [
         (rows[source][data][0], rows[sink][number][3])
         for number, data in enumerate(origin[sink])
         if data != NONE and data >= first and number >= tables.nodes[sink].first
     ]
-    age = ages(tables, path, of[0])
+    age = ages(tables, path, path_origins[0])
     assert list(zip(age.begin_ns.tolist(), age.end_ns.tolist(), strict=True)) == expected
     expected = []
     for begun in range(first, len(rows[source])):
         answer = next((number for number, data in enumerate(origin[sink]) if data != NONE and data >= begun), None)
         if answer is not None:
             expected.append((rows[source][begun][0], rows[sink][answer][3]))
-    reaction = reactions(tables, path, of[0])
+    reaction = reactions(tables, path, path_origins[0])
     assert list(zip(reaction.begin_ns.tolist(), reaction.end_ns.tolist(), strict=True)) == expected
     assert len(expected) > 5
     longest = max(end - begin for begin, end in expected)
     late = [row[0] for row in rows[source][first + len(expected) :] if row[0] < UNTIL - 2 * longest]
     assert unanswered(tables, path, reaction) == len(late)
     for activation in reaction.activation:
-        walked = stages(tables, path, of, int(activation))
+        walked = stages(tables, path, path_origins, int(activation))
         assert [stage.node.name for stage in walked] == list(path.nodes)
         for before, after in itertools.pairwise(walked):
             assert before.publication_ns <= before.reception_ns <= after.node.begin_ns[after.row]
@@ -194,7 +194,7 @@ def test_what_was_never_reacted_to_counts_unless_the_run_ended_too_early_to_see_
     tables = replace(tables_of(topology, rows, came, 0), until_ns=300 * MS)
     (path,) = topology.all_paths()
     plan = TopologyPlan(topology=topology, for_s=0.3, paths=(path,))
-    (reaction,) = (each for each in topology_streams(tables, plan) if each.kind is PATH)
+    (reaction,) = (stream for stream in topology_streams(tables, plan) if stream.kind is PATH)
     assert (reaction.columns["end_ns"].size, reaction.counts["lost"]) == (died_at, never)
 
 

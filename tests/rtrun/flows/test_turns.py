@@ -75,7 +75,7 @@ def test_a_timer_of_a_second_program_of_one_name_has_one_name_from_its_first_cal
     observed.feed(
         [
             publish(1, topic="/twin"),
-            *(each for at in range(10, 60, 10) for each in (timer(at * 10**5), seen(at * 10**5 + 9, WAIT))),
+            *(seen_hit for at in range(10, 60, 10) for seen_hit in (timer(at * 10**5), seen(at * 10**5 + 9, WAIT))),
         ]
     )
     assert len({turn.name for turn in turns}) == 1 and len(turns) == 5

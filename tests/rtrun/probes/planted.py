@@ -18,15 +18,16 @@ def check_named(outliers: list[dict[str, Any]], printed: str, name: str) -> None
     stalls = [tuple(map(int, match.groups())) for match in map(_STALL.fullmatch, printed.splitlines()) if match]
     undisturbed = [(begin_ns, end_ns) for begin_ns, end_ns, cpu_ns in stalls if cpu_ns > 0.9 * (end_ns - begin_ns)]
     waited = [
-        each
-        for each in outliers
+        outlier
+        for outlier in outliers
         for begin_ns, end_ns in undisturbed
-        if min(end_ns, each["at_ns"]) - max(begin_ns, each["at_ns"] - each["value_ns"]) > 0.75 * each["value_ns"]
-        and not each["note"]  # events were lost within, or none are there
+        if min(end_ns, outlier["at_ns"]) - max(begin_ns, outlier["at_ns"] - outlier["value_ns"])
+        > 0.75 * outlier["value_ns"]
+        and not outlier["note"]  # events were lost within, or none are there
     ]
     assert waited, (outliers, stalls)
     # A busy machine loses hits of probes, and with them the begin of a callback: its thread is named then.
-    unnamed = [each for each in waited if not _is_named(each, name)]
+    unnamed = [outlier for outlier in waited if not _is_named(outlier, name)]
     assert 2 * len(unnamed) < len(waited), unnamed
 
 

@@ -17,14 +17,14 @@ from rclpy.node import Node
 rclpy.init()
 name, *numbers = sys.argv[1:]
 node = Node(name)
-told = []
+lines = []
 
 
 def work(request: GetParameterTypes.Request, response: GetParameterTypes.Response) -> GetParameterTypes.Response:
     """Take a millisecond; for each tenth request longer than until the client's next one."""
     begin_ns, number = time.monotonic_ns(), int(request.names[1])
     time.sleep(0.03 if number % 10 == 3 else 0.001)
-    told.append(("work", *request.names, begin_ns, time.monotonic_ns()))
+    lines.append(("work", *request.names, begin_ns, time.monotonic_ns()))
     return response
 
 
@@ -32,7 +32,7 @@ def send(client: int, number: int) -> None:
     """Send a request, and note when its answer is there."""
     sent_ns = time.monotonic_ns()
     future = clients[client].call_async(GetParameterTypes.Request(names=[f"{name}{client}", str(number)]))
-    future.add_done_callback(lambda _: told.append(("call", f"{name}{client}", number, sent_ns, time.monotonic_ns())))
+    future.add_done_callback(lambda _: lines.append(("call", f"{name}{client}", number, sent_ns, time.monotonic_ns())))
 
 
 if not numbers:
@@ -52,7 +52,7 @@ else:
     def tick() -> None:
         """Each client sends its next request, unless many have no answer, and not for 0.1 s: some never get one."""
         global latest_ns, sent
-        is_free = sent * len(clients) - len(told) <= int(numbers[2]) or time.monotonic_ns() > latest_ns + 10**8
+        is_free = sent * len(clients) - len(lines) <= int(numbers[2]) or time.monotonic_ns() > latest_ns + 10**8
         if sent < int(numbers[1]) and is_free:
             for client in range(len(clients)):
                 send(client, sent)
@@ -60,8 +60,8 @@ else:
 
     node.create_timer(0.02, tick)
     # Fast DDS may report a service before it has found both ends; such a request gets no answer.
-    while len(told) < len(clients) * int(numbers[1]) and time.monotonic_ns() < latest_ns + 5 * 10**9:
+    while len(lines) < len(clients) * int(numbers[1]) and time.monotonic_ns() < latest_ns + 5 * 10**9:
         rclpy.spin_once(node)
-for line in told:
+for line in lines:
     print(*line)
 sys.stdout.flush()

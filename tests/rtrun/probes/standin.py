@@ -23,7 +23,7 @@ SCRIPTS = PurePosixPath(ON_TARGET)
 SOURCE = Path(__file__).with_name("standin.c")
 LIBRARIES = ("tracetools", "rcl")
 # Those of paths are of real programs alone.
-EVENTS = [each for each in events() if each not in ("wait", "guard_trigger")]
+EVENTS = [event for event in events() if event not in ("wait", "guard_trigger")]
 
 
 def build(
@@ -65,7 +65,7 @@ def find(
     """Those of these processes that can be observed, once all of them can: a library is loaded after the start."""
     deadline = time.monotonic() + within_s
     while True:
-        found = tuple(each for each in find_programs(link, scripts).found if each.program.pid in pids)
+        found = tuple(program for program in find_programs(link, scripts).found if program.program.pid in pids)
         if len(found) == len(pids):
             return found
         assert time.monotonic() < deadline, found
@@ -98,7 +98,7 @@ def _is_of_another_worker(pid: str) -> bool:
         environment = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
     except OSError:
         return False
-    workers = {each for each in environment if each.startswith(b"PYTEST_XDIST_WORKER=")}
+    workers = {variable for variable in environment if variable.startswith(b"PYTEST_XDIST_WORKER=")}
     return bool(workers - {f"PYTEST_XDIST_WORKER={os.environ.get('PYTEST_XDIST_WORKER', '')}".encode()})
 
 

@@ -23,14 +23,14 @@ def test_a_deactivated_publisher_is_no_stall(here, tmp_path):
     accumulator = FlowAccumulator(begin_ns=0)
     with running(program, stdin=subprocess.PIPE) as process:
         assert process.stdout.readline() == "begins\n"
-        accumulator.observe(each.program for each in find(here, process.pid))
+        accumulator.observe(observable.program for observable in find(here, process.pid))
         batches = observed(here, process.pid, for_s=13)
-        for each in batches:
-            if isinstance(each, Began):
+        for result in batches:
+            if isinstance(result, Began):
                 process.stdin.close()
-            if isinstance(each, Batch):
-                accumulator.feed([*each.hits, *each.gaps])
-                accumulator.until_ns = each.until_ns
+            if isinstance(result, Batch):
+                accumulator.feed([*result.hits, *result.gaps])
+                accumulator.until_ns = result.until_ns
         assert process.stdout.readline() == "done\n"
     accumulator.finish(accumulator.until_ns)
     ends = {

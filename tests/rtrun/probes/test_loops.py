@@ -79,14 +79,16 @@ def observe(link, *deadlines, for_s=4.0, on_second=lambda _: None, scripts=SCRIP
     return result
 
 
-def of(result, program, kind=LOOP):
+def streams_of(result, program, kind=LOOP):
     """The streams of a program, by the names of its threads."""
-    found = [each for each in streams(result.flows) if each.kind is kind and each.identity["program"] == program]
-    return {each.identity["thread"]: each for each in found}
+    found = [
+        stream for stream in streams(result.flows) if stream.kind is kind and stream.identity["program"] == program
+    ]
+    return {stream.identity["thread"]: stream for stream in found}
 
 
 def only(result, program, kind=LOOP):
-    (stream,) = of(result, program, kind).values()
+    (stream,) = streams_of(result, program, kind).values()
     return stream
 
 
@@ -198,7 +200,7 @@ def test_what_a_cycle_waits_for_is_part_of_its_response(here, loop, tmp_path):
     with running_loop(loop, "lock", 50, out):
         result = observe(here, "loop:observed-loop/observed-loop=200us")
     # The thread that holds the lock has the next number: it began later.
-    response = of(result, "observed-loop", RESPONSE)["observed-loop"]
+    response = streams_of(result, "observed-loop", RESPONSE)["observed-loop"]
     took = response.columns["end_ns"] - response.columns["begin_ns"]
     assert np.count_nonzero(took < 0.3 * MS) <= took.size / 20
 
@@ -264,12 +266,16 @@ def test_a_program_of_several_threads(here, tmp_path):
             time.sleep(0.01)
         result = observe(here, "loop:four=200us", for_s=3)
         name = Path(f"/proc/{process.pid}/comm").read_text().strip()
-    assert [*of(result, "four")] == [name, f"{name}#2", f"{name}#3"]
-    by_tid = {each.log.thread: tid for tid, each in result.flows.loops.threads.items() if each.log.program == "four"}
-    tids = [by_tid[thread] for thread in of(result, "four")]
+    assert [*streams_of(result, "four")] == [name, f"{name}#2", f"{name}#3"]
+    by_tid = {
+        loop_thread.log.thread: tid
+        for tid, loop_thread in result.flows.loops.threads.items()
+        if loop_thread.log.program == "four"
+    }
+    tids = [by_tid[thread] for thread in streams_of(result, "four")]
     assert tids == sorted(tids)
     # The later ones have longer periods.
-    periods = [each.source.period_ns() for each in of(result, "four").values()]
+    periods = [stream.source.period_ns() for stream in streams_of(result, "four").values()]
     assert periods == [2 * MS, 2.5 * MS, 3 * MS]
 
 
@@ -279,10 +285,10 @@ def test_names_of_any_bytes(here, loop, tmp_path, name):
     shutil.copy(loop, program)
     with running_loop(program, "absolute", 50, out):
         result = observe(here, "loop:nobody=1ms", for_s=3)
-        seen = {each.identity["program"]: each for each in streams(result.flows) if each.kind is LOOP}
+        seen = {stream.identity["program"]: stream for stream in streams(result.flows) if stream.kind is LOOP}
         if name.isprintable():
             named = find_programs(here, SCRIPTS, [name]).found
-            assert name in {each.program.file_name for each in named}
+            assert name in {observable.program.file_name for observable in named}
     assert seen[printable(name)].columns["due_ns"].size > 500
 
 

@@ -60,21 +60,21 @@ def link(request, loopback):
 
 
 def values_of(results, event):
-    return [hit for each in results if isinstance(each, Batch) for hit in each.hits if hit.event == event]
+    return [hit for result in results if isinstance(result, Batch) for hit in result.hits if hit.event == event]
 
 
 def test_every_message_is_seen_at_both_ends(link, standin):
     with running(standin, 1000, 3000) as process:
         results = []
         stream = observed(link, process.pid)
-        for each in stream:
-            results.append(each)
+        for result in stream:
+            results.append(result)
             if len(results) == 6:
                 break
         stream.close()
     assert isinstance(results[0], Began)
     assert {probe.event for probe in results[0].placed} == {"publish", "take", "timer_call"}
-    assert {each.reason.partition(":")[2][:17] for each in results[0].refused} == {" it was built wit"}
+    assert {refusal.reason.partition(":")[2][:17] for refusal in results[0].refused} == {" it was built wit"}
     published, taken = values_of(results, "publish"), values_of(results, "take")
     numbers = [hit.values["source_ns"] for hit in published]
     assert numbers == list(range(numbers[0], 3000))
@@ -82,7 +82,7 @@ def test_every_message_is_seen_at_both_ends(link, standin):
     assert {(hit.pid, hit.tid, hit.values["topic"]) for hit in (*published, *taken)} == {
         (process.pid, process.pid, "/a")
     }
-    times = [hit.at_ns for each in results if isinstance(each, Batch) for hit in each.hits]
+    times = [hit.at_ns for result in results if isinstance(result, Batch) for hit in result.hits]
     assert times == sorted(times)
     # The first call has nothing to compare with.
     calls = values_of(results, "timer_call")
@@ -98,16 +98,16 @@ def test_a_queued_callback_of_a_timer_is_late_by_when_it_begins(here, tmp_path):
     program = standins.build(tmp_path / "queued", source=Path(__file__).with_name("queued.c"), libraries=libraries)
     accumulator = FlowAccumulator(begin_ns=0)
     with running(program, 1000) as process:
-        accumulator.observe(each.program for each in find(here, process.pid))
-        for each in observed(here, process.pid, for_s=6):
-            if isinstance(each, Batch):
-                accumulator.feed([*each.hits, *each.gaps])
-        told = dict(map(int, line.split()) for line in iter(process.stdout.readline, "done\n"))
-    (stream,) = (each for each in streams(accumulator) if each.kind is TIMER)
+        accumulator.observe(observable.program for observable in find(here, process.pid))
+        for result in observed(here, process.pid, for_s=6):
+            if isinstance(result, Batch):
+                accumulator.feed([*result.hits, *result.gaps])
+        printed = dict(map(int, line.split()) for line in iter(process.stdout.readline, "done\n"))
+    (stream,) = (stream for stream in streams(accumulator) if stream.kind is TIMER)
     late = dict(zip(stream.columns["expected_ns"].tolist(), stream.columns["real_ns"].tolist(), strict=True))
     assert len(late) > 500
     # A busy machine may do something else between the probe and the program's own look at the clock.
-    differ = sorted(told[due_ns] - begun_ns for due_ns, begun_ns in late.items())
+    differ = sorted(printed[due_ns] - begun_ns for due_ns, begun_ns in late.items())
     assert differ[0] >= 0 and differ[len(differ) // 2] < 500_000
     assert sum(begun_ns - due_ns > 10**7 for due_ns, begun_ns in late.items()) > len(late) / 20
 
@@ -149,8 +149,8 @@ def test_a_runner_that_is_silent_leaves_nothing_and_goes_on(way, loopback, here,
             wait_until_nothing_is_left()
             os.kill(runner.pid, signal.SIGCONT)
             lines = []
-            said = "nothing was heard from rtrun for 4 s, so the probes were taken off; connecting"
-            while said not in "".join(lines):
+            remark = "nothing was heard from rtrun for 4 s, so the probes were taken off; connecting"
+            while remark not in "".join(lines):
                 lines.append(runner.stdout.readline())
             # What was printed before the stop comes first.
             while not left():
@@ -194,14 +194,14 @@ def test_a_cut_link(sshd, loopback, standin):
         with Link(target, print) as link:
             results, before = [], []
             stream = observed(link, process.pid)
-            for each in stream:
-                results.append(each)
+            for result in stream:
+                results.append(result)
                 if len(results) == 4:
                     before = left()
                     proxy.cut()
                     wait_until_nothing_is_left()
                     proxy.mend()
-                gaps = [gap for each in results if isinstance(each, Batch) for gap in each.gaps]
+                gaps = [gap for result in results if isinstance(result, Batch) for gap in result.gaps]
                 if gaps and len(results) > 8:
                     break
             assert left() and before and not set(before) & set(left())
@@ -264,7 +264,7 @@ def test_two_at_once(here, loopback, standin):
 def test_above_the_limit_the_probes_rest(here, standin):
     with running(standin, 4000, 10**9) as process:
         results = list(observed(here, process.pid, for_s=8, limit_per_s=2000))
-    gaps = [gap for each in results if isinstance(each, Batch) for gap in each.gaps]
+    gaps = [gap for result in results if isinstance(result, Batch) for gap in result.gaps]
     assert gaps and {gap.reason for gap in gaps} == {"the probes rested: too many events"}
     taken = values_of(results, "take")
     # The end of the observation may end the last one.
@@ -324,7 +324,7 @@ def test_nothing_sleeps_on_when_it_has_ended(here, standin, way):
             script.stdout.read()
             script.wait()
         deadline = time.monotonic() + 60
-        while living := [each.name for each in Path("/proc").glob("[0-9]*") if is_of_session(each, inside)]:
+        while living := [folder.name for folder in Path("/proc").glob("[0-9]*") if is_of_session(folder, inside)]:
             assert time.monotonic() < deadline, living
             time.sleep(0.02)
         if way == "killed":
@@ -351,7 +351,7 @@ def test_a_program_that_starts_later(here, standin):
         with running(standin, 100, 10**9) as second:
             results = [next(stream) for _ in range(4)]
             pids = {hit.pid for hit in values_of(results, "take")}
-            programs = [found.program.pid for each in results for found in each.programs]
+            programs = [found.program.pid for result in results for found in result.programs]
         assert {first.pid, second.pid} <= pids and second.pid in programs
         second_ended = [pid for _ in range(3) for pid in next(stream).ended]
         assert second.pid in second_ended
@@ -361,7 +361,7 @@ def test_a_program_that_starts_later(here, standin):
 def test_kernel_events_beside(here, standin):
     with running(standin, 100, 10**9) as process:
         results = list(observed(here, process.pid, for_s=2, kernel_events=["sched/sched_switch", "no/such"]))
-    switches = [hit for each in results if isinstance(each, Batch) for hit in each.kernel]
+    switches = [hit for result in results if isinstance(result, Batch) for hit in result.kernel]
     assert {hit.event for hit in switches} == {"sched/sched_switch"}
     woken = [hit for hit in switches if hit.values["next_pid"] == process.pid]
     assert woken and {hit.values["next_comm"] for hit in woken} == {"standin"}
@@ -399,7 +399,11 @@ def test_libraries_in_folders_of_any_name(here, standin, tmp_path):
 
 def programs_of(link, path):
     """The pids of those that are called by a path below this one."""
-    return [each.program.pid for each in find_programs(link, SCRIPTS).found if each.program.argv[0].startswith(path)]
+    return [
+        program.program.pid
+        for program in find_programs(link, SCRIPTS).found
+        if program.program.argv[0].startswith(path)
+    ]
 
 
 def test_two_containers_of_one_image(here, standin, tmp_path):
@@ -436,13 +440,13 @@ def test_a_program_without_the_library_that_tells_the_release(here, standin):
     code = "import ctypes, sys; ctypes.CDLL(sys.argv[1]); input()"
     argv = [sys.executable, "-c", code, standin.parent / "libtracetools.so"]
     with running(*argv, stdin=subprocess.PIPE) as without, running(standin, 100, 10**9) as other:
-        found = sorted(find(here, without.pid, other.pid), key=lambda each: each.program.pid != without.pid)
+        found = sorted(find(here, without.pid, other.pid), key=lambda program: program.program.pid != without.pid)
         placement = place(here, found, events=EVENTS)
         *results, last = observe(here, SCRIPTS, placement, found, for_s=1)
         alone = place(here, found[:1], events=EVENTS)
     assert {"publish", "take"} <= {probe.event for probe in placement.probes}
     assert {hit.pid for hit in values_of(results, "take")} == {other.pid} and last.is_clean
-    (reason,) = {each.reason for each in alone.refused if each.event == "publish"}
+    (reason,) = {refusal.reason for refusal in alone.refused if refusal.event == "publish"}
     assert reason.endswith("which librcl tells: the program does not map it")
 
 
@@ -452,7 +456,7 @@ def test_a_library_that_was_replaced(here, tmp_path):
         find(here, process.pid)
         (program.parent / "libtracetools.so").unlink()
         (began, *_, last) = observed(here, process.pid, for_s=0.5)
-    assert [(Path(each.path).name, each.reason) for each in began.refused] == [
+    assert [(Path(refusal.path).name, refusal.reason) for refusal in began.refused] == [
         ("libtracetools.so", "its file was replaced while the program runs: restart the program")
     ]
     assert [probe.event for probe in began.placed] == ["timer_call"] and last.is_clean
@@ -466,7 +470,7 @@ def test_a_probe_that_the_kernel_refuses(here, standin):
         bad = replace(placement.probes[0], line=placement.probes[0].line.replace("%di", "%nonsense"))
         placement = replace(placement, probes=(bad, *placement.probes[1:]))
         began, *_ = observe(here, SCRIPTS, placement, found, for_s=0.5)
-    (refused,) = [each for each in began.refused if each.event == bad.event]
+    (refused,) = [refusal for refusal in began.refused if refusal.event == bad.event]
     assert "egister" in refused.reason or "does not take it" in refused.reason
     assert len(began.placed) == len(placement.probes) - 1
 

@@ -56,9 +56,11 @@ def test_a_library_that_is_gone_when_it_is_fetched(link, two, monkeypatch, act):
 
     def look_and_act(*arguments):
         release, files = look(*arguments)
-        of_his = {each.inode for program in found if program.program.pid == elusive.pid for each in program.mapped}
+        of_his = {mapped.inode for program in found if program.program.pid == elusive.pid for mapped in program.mapped}
         # As of a program in a container, whose files are seen through the process alone.
-        ranges = {each.inode: each.range for program in found for each in program.mapped if each.inode in of_his}
+        ranges = {
+            mapped.inode: mapped.range for program in found for mapped in program.mapped if mapped.inode in of_his
+        }
         if act is end:
             files = {
                 key: dataclasses.replace(file, path=f"/proc/{elusive.pid}/map_files/{ranges[key[1]]}")
@@ -71,8 +73,8 @@ def test_a_library_that_is_gone_when_it_is_fetched(link, two, monkeypatch, act):
 
     monkeypatch.setattr(placement, "_look", look_and_act)
     placed = placement.place(link, found, events=EVENTS)
-    assert placed.probes and {each.path.startswith(str(folder)) for each in placed.probes} == {False}
-    assert {each.reason for each in placed.refused if each.path.startswith(str(folder))} == {
+    assert placed.probes and {probe.path.startswith(str(folder)) for probe in placed.probes} == {False}
+    assert {refusal.reason for refusal in placed.refused if refusal.path.startswith(str(folder))} == {
         "its file cannot be read any more: its program has ended meanwhile, or the file was changed"
     }
 
@@ -83,8 +85,8 @@ def test_a_program_that_ended_before_its_library_is_looked_at(link, two):
     found = find(link, honest.pid, elusive.pid)
     end(elusive, folder)
     placed = placement.place(link, found, events=EVENTS)
-    assert placed.probes and {each.path.startswith(str(folder)) for each in placed.probes} == {False}
-    assert {each.reason for each in placed.refused if each.path.startswith(str(folder))} == {
+    assert placed.probes and {probe.path.startswith(str(folder)) for probe in placed.probes} == {False}
+    assert {refusal.reason for refusal in placed.refused if refusal.path.startswith(str(folder))} == {
         "its file cannot be read, as its program has ended meanwhile, or this user is not root"
     }
 

@@ -41,9 +41,9 @@ def test_a_process_as_it_is(link, standin):
         assert (thread.tid, thread.policy, thread.priority, thread.cpus) == (process.pid, "OTHER", 0, (0,))
         assert set(program.libraries) == {str(standin.parent / f"lib{name}.so") for name in ("rcl", "tracetools")}
     assert not [
-        each
-        for each in link.check([str(SCRIPTS / "find_programs.sh"), pattern()]).splitlines()
-        if each == f"program {process.pid}"
+        line
+        for line in link.check([str(SCRIPTS / "find_programs.sh"), pattern()]).splitlines()
+        if line == f"program {process.pid}"
     ]
 
 
@@ -90,7 +90,7 @@ def test_whatever_arguments_and_paths_are(link, standin, tmp_path):
     assert program.argv[0].endswith("/standin") and "a\nb" in program.argv[0] and "\\xff" in program.argv[0]
     assert program.argv[3].startswith("robot_description:=<\\xff\n>") and program.argv[3].endswith("…")
     assert program.argv[4:] == ("…", "__node:=a", "__ns:=/b") and label_of(program) == "/b/a"
-    assert {each.rpartition("/")[2] for each in program.libraries} == {"librcl.so", "libtracetools.so"}
+    assert {path.rpartition("/")[2] for path in program.libraries} == {"librcl.so", "libtracetools.so"}
 
 
 def test_many_programs_with_megabytes_of_arguments(link, standin):
@@ -99,7 +99,7 @@ def test_many_programs_with_megabytes_of_arguments(link, standin):
     with contextlib.ExitStack() as stack:
         processes = [stack.enter_context(running(standin, 10, 10**6, *arguments)) for _ in range(8)]
         found = find(link, *(process.pid for process in processes))
-    assert {len(" ".join(each.program.argv)) < 5000 for each in found} == {True}
+    assert {len(" ".join(observable.program.argv)) < 5000 for observable in found} == {True}
 
 
 def test_what_a_thread_is_called_makes_no_other_thread(link, standin):
@@ -151,12 +151,12 @@ def test_what_is_beyond_a_limit_is_left_out(text, found, left_out):
     listing = parse_programs(text, "board")
     assert (len(listing.found), listing.left_out) == (found, left_out)
     roster = Roster(listing.found)
-    for each in parse_programs(text.replace("227595", "227596"), "board").found:
-        roster.begin(each.program)
+    for observable in parse_programs(text.replace("227595", "227596"), "board").found:
+        roster.begin(observable.program)
     # They live instead of those that had the pids before, and all that were there have no more room.
-    assert len(roster.alive) == found and {each.start_ticks for each in roster.alive} == {227596}
+    assert len(roster.alive) == found and {program.start_ticks for program in roster.alive} == {227596}
     assert len(roster.seen) <= max(found, PROGRAMS_MAX) and roster.left_out >= found - 1
-    for pid in [each.pid for each in roster.alive]:
+    for pid in [program.pid for program in roster.alive]:
         roster.end(pid)
     assert roster.alive == ()
 

@@ -88,8 +88,8 @@ def watched_exchange(here, listener, talker, environment, folder):
 
 def of_topic(results, topic, key, pids):
     """The messages of a topic that these processes published and took: pid and key, in the order of time."""
-    hits = [hit for each in results if isinstance(each, Batch) for hit in each.hits if hit.pid in pids]
-    assert not [gap for each in results if isinstance(each, Batch) for gap in each.gaps]
+    hits = [hit for result in results if isinstance(result, Batch) for hit in result.hits if hit.pid in pids]
+    assert not [gap for result in results if isinstance(result, Batch) for gap in result.gaps]
     return [
         [
             (hit.pid, *(hit.values[name] for name in key))
@@ -109,11 +109,11 @@ def test_rclpy(here, distro, tmp_path):
     assert len(published) == COUNT and [key for _, key in taken] == [key for _, key in published]
     assert {pid for pid, _ in taken} == {pids[0]} and {pid for pid, _ in published} == {pids[1]}
     # Threads that came after the beginning are told as well.
-    programs = [each.program for batch in results if isinstance(batch, Batch) for each in batch.programs]
+    programs = [observable.program for batch in results if isinstance(batch, Batch) for observable in batch.programs]
     names = {(program.pid, thread.name) for program in programs for thread in program.threads}
     assert {(pid, "dds.ev.0") for pid in pids} <= names
     # The topic's publisher and its timer have names, because the program started while it was observed.
-    hits = [hit for each in results if isinstance(each, Batch) for hit in each.hits]
+    hits = [hit for result in results if isinstance(result, Batch) for hit in result.hits]
     assert "talker" in {hit.values["name"] for hit in hits if hit.event == "node_init"}
     assert "/chatter" in {hit.values["topic"] for hit in hits if hit.event == "publisher_init"}
     calls = [hit for hit in hits if hit.event == "timer_call" and hit.pid == pids[1]]
@@ -122,7 +122,7 @@ def test_rclpy(here, distro, tmp_path):
         "ros"
     }
     # ROS time is CLOCK_REALTIME here.
-    offset_ns = next(each.clocks[0].offset_ns for each in results if isinstance(each, Batch))
+    offset_ns = next(result.clocks[0].offset_ns for result in results if isinstance(result, Batch))
     late_ns = np.array(
         [hit.at_ns + offset_ns - hit.values["expected_ns"] for hit in calls if "expected_ns" in hit.values]
     )
@@ -136,7 +136,7 @@ def test_a_path_through_rclpy(here, distro, tmp_path, monkeypatch):
     argv = [sys.executable, TALKER]
     monkeypatch.setattr(standin, "EVENTS", events())
     results, pids = watched_exchange(here, [*argv, "relay"], [*argv, "talker", COUNT], environment, tmp_path)
-    batches = [each for each in results if isinstance(each, Batch)]
+    batches = [result for result in results if isinstance(result, Batch)]
     flows = FlowAccumulator(begin_ns=batches[0].begin_ns, paths=[("/chatter", "/again")])
     flows.observe([])
     for batch in batches:
@@ -176,9 +176,9 @@ def test_programs_in_c(here, request, distro, middleware, suites_of, tmp_path):
     published, taken = of_topic(results, "/communication_tests", key, pids)
     assert len(published) == COUNT and {pid for pid, *_ in published} == {pids[1]}
     # An empty message may come before: with it the programs find one another.
-    assert [each[1:] for each in taken] == [each[1:] for each in published] and {pid for pid, *_ in taken} == {pids[0]}
+    assert [row[1:] for row in taken] == [row[1:] for row in published] and {pid for pid, *_ in taken} == {pids[0]}
     if middleware == "roscpp":
-        hits = [hit for each in results if isinstance(each, Batch) for hit in each.hits]
+        hits = [hit for result in results if isinstance(result, Batch) for hit in result.hits]
         # Other tests may run the same programs meanwhile.
         on_topic = [hit for hit in hits if hit.values.get("topic") == "/communication_tests" and hit.pid in pids]
         assert len([hit for hit in on_topic if hit.event == "callback_begin"]) == COUNT
@@ -230,14 +230,14 @@ def test_a_timer_as_the_program_sees_it(here, distro, suites_of, tmp_path):
         )
         results += [next(stream) for _ in range(5)]
         stream.close()
-    hits = [hit for each in results if isinstance(each, Batch) for hit in each.hits if hit.event == "timer_call"]
+    hits = [hit for result in results if isinstance(result, Batch) for hit in result.hits if hit.event == "timer_call"]
     hits = [hit for hit in hits if hit.pid != other.pid]
     (rows,) = [np.load(path) for path in tmp_path.glob("cyclic_timer_tests_l1000*.npy")]
     expected = [hit.values.get("expected_ns") for hit in hits if hit.values.get("period_ns") == 10**6]
     assert len(rows) >= 999
     # The second call shows the period, and when it was due.
-    told = rows[:, 1].tolist()
-    assert set(told) - set(expected) <= {told[0]}
+    printed = rows[:, 1].tolist()
+    assert set(printed) - set(expected) <= {printed[0]}
 
 
 def test_a_slow_callback_of_the_same_thread_is_what_a_late_message_waited_for(tmp_path, capsys):

@@ -32,29 +32,31 @@ def seen(here, tmp_path, release):
     program = standin.build(tmp_path / "released", source=SOURCE, libraries=LIBRARIES, defined=[release])
     accumulator = FlowAccumulator(begin_ns=0)
     with running(program, COUNT) as process:
-        accumulator.observe(each.program for each in find(here, process.pid))
-        for each in observed(here, process.pid, for_s=7):
-            if isinstance(each, Batch):
-                for reading in each.clocks:
+        accumulator.observe(observable.program for observable in find(here, process.pid))
+        for result in observed(here, process.pid, for_s=7):
+            if isinstance(result, Batch):
+                for reading in result.clocks:
                     accumulator.offset(*reading)
-                accumulator.feed([*each.hits, *each.gaps])
-        told = [line.split() for line in iter(process.stdout.readline, "done\n")]
+                accumulator.feed([*result.hits, *result.gaps])
+        printed = [line.split() for line in iter(process.stdout.readline, "done\n")]
     accumulator.finish()
-    lines = {word: np.array([line[1:] for line in told if line[0] == word], np.int64) for word in ("timer", "message")}
+    lines = {
+        word: np.array([line[1:] for line in printed if line[0] == word], np.int64) for word in ("timer", "message")
+    }
     assert [name for name in standin.left() if "raw" in name] == []
     return list(streams(accumulator)), lines
 
 
 def test_timers_and_messages(release, seen):
-    found, told = seen
-    are_timers_as_told(release, found, told["timer"])
-    are_messages_as_told(found, told["message"])
+    found, printed = seen
+    are_timers_as_told(release, found, printed["timer"])
+    are_messages_as_told(found, printed["message"])
 
 
-def are_timers_as_told(release, found, told):
+def are_timers_as_told(release, found, printed):
     timers = [stream for stream in found if stream.kind is TIMER]
     assert [stream.identity["timer"] for stream in timers] == ["timer 5 ms", "timer 5 ms#2"]
-    begun = {int(due): int(begun) for _, due, begun in told}
+    begun = {int(due): int(begun) for _, due, begun in printed}
     for stream in timers:
         assert stream.identity["clock"] == CLOCKS[release]
         due, real = (stream.columns[name].tolist() for name in ("expected_ns", "real_ns"))
@@ -64,7 +66,7 @@ def are_timers_as_told(release, found, told):
         assert abs(np.median(differ)) < 20_000
 
 
-def are_messages_as_told(found, told):
+def are_messages_as_told(found, printed):
     """Two publishers of a topic, at the same time; of the first each fiftieth message is lost."""
     pairs = sorted((stream for stream in found if stream.kind is MESSAGES), key=lambda stream: -stream.counts["lost"])
     assert [stream.counts["lost"] > 0 for stream in pairs] == [True, False]
@@ -75,7 +77,7 @@ def are_messages_as_told(found, told):
         # What was on its way at the begin is not known, nor whether the last ones were lost.
         assert counts["published"] > COUNT * 0.6 and counts["undecided"] <= 2
         # The program looks at its clock before it publishes, and when it has the message, before the probe each time.
-        published, taken = told[told[:, 0] == publisher][:, 1:].T
+        published, taken = printed[printed[:, 0] == publisher][:, 1:].T
         row = np.searchsorted(published, stream.columns["publication_ns"], side="right") - 1
         assert np.unique(row).size == row.size == counts["received"]
         before_ns, after_ns = (

@@ -36,8 +36,8 @@ def watched(here, folder, environment, ahead):
             )
             for name, number in (("one", 1), ("two", 2))
         ]
-        pids = {each.pid for each in (server, *clients)}
-        while not pids <= {server.pid, *(each.program.pid for batch in batches for each in batch.programs)}:
+        pids = {process.pid for process in (server, *clients)}
+        while not pids <= {server.pid, *(program.program.pid for batch in batches for program in batch.programs)}:
             batches.append(next(stream))
         for client in clients:
             client.stdin.write("\n")
@@ -46,21 +46,21 @@ def watched(here, folder, environment, ahead):
             batches.append(next(stream))
         batches += [next(stream), next(stream)]
         stream.close()
-        printed = [each.communicate()[0] for each in (server, *clients)]
+        printed = [process.communicate()[0] for process in (server, *clients)]
     assert not [gap for batch in batches for gap in batch.gaps]
     flows = FlowAccumulator(begin_ns=batches[0].begin_ns)
     roster = Roster(())
     for batch in batches:
-        for each in batch.programs:
-            if each.program.pid in pids:
-                roster.begin(each.program)
+        for program in batch.programs:
+            if program.program.pid in pids:
+                roster.begin(program.program)
         flows.observe(roster.alive)
         flows.feed([hit for hit in batch.hits if hit.pid in pids])
     flows.finish()
     return [stream for stream in streams(flows) if stream.kind is SERVICE], "".join(printed)
 
 
-def told(text, word):
+def times_printed(text, word):
     """The lines of one sort: two times for each client and number."""
     lines = (line.split() for line in text.splitlines())
     return {(client, int(number)): (int(a), int(b)) for first, client, number, a, b in lines if first == word}
@@ -71,15 +71,15 @@ def test_each_request_is_seen_from_its_client_and_back(here, distro, tmp_path):
     """Of clients that send at the same times; from Kilted on, before they have the answer to the request before."""
     has_numbers = distro != "jazzy"
     found, printed = watched(here, tmp_path, ros2_environment(distro, tmp_path), 3 if has_numbers else 0)
-    calls, work = told(printed, "call"), told(printed, "work")
+    calls, work = times_printed(printed, "call"), times_printed(printed, "work")
     assert set(calls) <= set(work) and len(calls) > COUNT
     clients = {stream.identity["client"]: stream for stream in found}
     # The second client of a process has its label with a number.
     (second,) = (label for label in clients if label.endswith(" (2)"))
     first = second.removesuffix(" (2)")
-    (one,) = set(clients) - {first, second}
+    (other,) = set(clients) - {first, second}
     assert len(found) == len(clients) == 3
-    for label, name in ((one, "one0"), (first, "two0"), (second, "two1")):
+    for label, name in ((other, "one0"), (first, "two0"), (second, "two1")):
         stream = clients[label]
         assert (stream.identity["service"], stream.identity["server"]) == ("/types", NODE.name)
         rows = np.stack([stream.columns[column] for column in SERVICE.columns])
@@ -98,9 +98,9 @@ def test_each_request_is_seen_from_its_client_and_back(here, distro, tmp_path):
             is_seen = np.append(np.diff(row) > 0, row[-1] < sent.size)
             assert np.count_nonzero(is_seen) > 0.8 * len(numbers)
             row, sent_told, received_told, begun, ended = (
-                each[is_seen] for each in (row, sent_told, received_told, begun, ended)
+                column[is_seen] for column in (row, sent_told, received_told, begun, ended)
             )
-        sent, received, taken, answered = (each[row] for each in (sent, received, taken, answered))
+        sent, received, taken, answered = (column[row] for column in (sent, received, taken, answered))
         # Each lies between two times that the programs told.
         assert np.all((sent_told < sent) & (sent < taken) & (taken < begun))
         assert np.all((ended < answered) & (answered < received) & (received < received_told))

@@ -61,7 +61,7 @@ def test_lost_events(flags, lost, count):
 def test_batches_of_pieces_of_any_size(piece):
     reader = WatchReader({"take_0_1": PROBE}, "board", {7: 70})
     text = output(*ROUNDS)
-    results = [each for start in range(0, len(text), piece) for each in reader.feed(text[start : start + piece])]
+    results = [result for start in range(0, len(text), piece) for result in reader.feed(text[start : start + piece])]
     ready, *batches = [*results, reader.rest()]
     assert ready == Ready(placed=("take_0_1",), refused={})
     # Before the beginning (0), and while the probes rested (4), there is nothing; in the order of time of both CPUs.
@@ -73,13 +73,13 @@ def test_batches_of_pieces_of_any_size(piece):
     assert (
         reader.is_done
         and reader.lost == 9
-        and [(each.clock, each.offset_ns) for each in batches[-1].clocks] == [("system", 100)]
+        and [(reading.clock, reading.offset_ns) for reading in batches[-1].clocks] == [("system", 100)]
     )
 
 
 def batches_of(text):
     reader = WatchReader({"take_0_1": PROBE}, "board", {7: 70})
-    return [*(each for each in reader.feed(text) if isinstance(each, Batch)), reader.rest()]
+    return [*(result for result in reader.feed(text) if isinstance(result, Batch)), reader.rest()]
 
 
 def test_a_gap_that_lasts_longer_than_its_round_comes_with_the_hits_within_it():
@@ -111,10 +111,10 @@ def test_events_beyond_their_limit_are_left_out_and_are_a_gap(monkeypatch, limit
     is_kernel = limit.startswith("_KERNEL")
     body = switch() if is_kernel else take(1)
     monkeypatch.setattr(stream, limit, 50 * len(body) if "BYTES" in limit else 50)
-    told = f"format /events/sched/sched_switch/format\n{SWITCH}rtrun end format\n".encode()
+    described = f"format /events/sched/sched_switch/format\n{SWITCH}rtrun end format\n".encode()
     pages = b"".join(page(2000 * number, event(1, body) * 20) for number in range(1, 9))
     text = output(a_round(1, cpu0=page(1000, BEGUN), cpu1=pages))
-    *_, last = batches_of(text.replace(b"ready\n", told + b"ready\n", 1))
+    *_, last = batches_of(text.replace(b"ready\n", described + b"ready\n", 1))
     kept = last.kernel if is_kernel else last.hits
     assert 0 < len(kept) <= 50 and [gap.reason for gap in last.gaps] == [stream.TOO_MANY]
 
@@ -165,7 +165,7 @@ def test_no_exception_of_another_kind(data):
     except TargetError as error:
         assert str(error).startswith("board: what watch_probes.sh printed cannot be read: ")
     else:
-        assert all(isinstance(each, Batch | Ready) for each in results)
+        assert all(isinstance(result, Batch | Ready) for result in results)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from rtrun.probes.trace_text import trace_text
 from rtrun.targets.inspection.kernel_trace import read_events, read_symbols
 
 pytestmark = [pytest.mark.trace, pytest.mark.timeout(120)]
-EVENTS = [each for each in read_events() if each != "osnoise"]
+EVENTS = [event for event in read_events() if event != "osnoise"]
 LINE = re.compile(r" *.+?-(\d+) +\[(\d+)\] (\S+) +(\d+\.\d{6,9}): (.*)")
 # What the kernel shows of these are names of its own functions, or words for numbers.
 HIDDEN = re.compile(
@@ -41,7 +41,7 @@ def kernels_own():
         instance.rmdir()
 
 
-def told(lines, until_s):
+def comparable(lines, until_s):
     """Each line without what cannot be alike: its thread, CPU, flags and event. Each instance takes its own time."""
     for line in lines:
         if (match := LINE.fullmatch(line)) and float(match[4]) < until_s:
@@ -60,8 +60,8 @@ def test_the_text_is_that_of_the_kernel(here, standin, kernels_own):
     with running(standin, 1000, 3000) as process:
         events = []
         stream = observed(here, process.pid, kernel_events=EVENTS, limit_per_s=400_000)
-        for each in stream:
-            events += each.kernel if isinstance(each, Batch) else ()
+        for result in stream:
+            events += result.kernel if isinstance(result, Batch) else ()
             if len(events) > 5000:
                 break
         text = kernels_own().splitlines()
@@ -70,7 +70,7 @@ def test_the_text_is_that_of_the_kernel(here, standin, kernels_own):
     assert len(lines) == len(events)
     # A busy machine may have filled the room of the other long since.
     until_s = recorded_until_s(text)
-    mine, its = Counter(told(lines, until_s)), Counter(told(text, math.inf))
+    mine, its = Counter(comparable(lines, until_s)), Counter(comparable(text, math.inf))
     missing = mine - its
     assert missing.total() < 0.001 * mine.total(), list(missing)[:20]
     kinds = {text.partition(":")[0].partition("(")[0] for *_, text in mine}
@@ -82,5 +82,5 @@ def test_the_text_is_that_of_the_kernel(here, standin, kernels_own):
     # The events of each CPU after a gap begin with what the kernel says where it has lost some.
     middle_ns = events[len(events) // 2].at_ns
     gap = Gap(0, middle_ns, "rest", GapCause.RESTED)
-    said = sum("LOST EVENTS" in line for line in trace_text(events, [gap], symbols))
-    assert said == len({hit.cpu for hit in events[len(events) // 2 :]})
+    losses = sum("LOST EVENTS" in line for line in trace_text(events, [gap], symbols))
+    assert losses == len({hit.cpu for hit in events[len(events) // 2 :]})
