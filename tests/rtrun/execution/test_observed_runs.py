@@ -146,14 +146,14 @@ def test_a_late_call_that_comes_first_after_a_gap_is_a_miss(tmp_path, capsys):
 
 def calls_of_a_service(number):
     """A client of process 2 and a server of process 1, a call each 10 ms; and `number` requests that nobody answers."""
-    told = {"service": "/grasp", "gid0": 7, "gid1": 0}
+    endpoint_values = {"service": "/grasp", "gid0": 7, "gid1": 0}
     for call in range(1, 1001 + number):
         at_ns = call * 10 * MS
-        yield hit(at_ns, "request_send", pid=2, endpoint=0xC0, before=call - 1, **told)
+        yield hit(at_ns, "request_send", pid=2, endpoint=0xC0, before=call - 1, **endpoint_values)
         yield hit(at_ns + 1, "request_number", pid=2, endpoint=0xC0, number=call)
         if call <= 1000:
-            yield hit(at_ns + 2, "request_take", endpoint=0xD0, number=call, taken=1, **told)
-            yield hit(at_ns + 3, "response_send", endpoint=0xD0, number=call, **told)
+            yield hit(at_ns + 2, "request_take", endpoint=0xD0, number=call, taken=1, **endpoint_values)
+            yield hit(at_ns + 3, "response_send", endpoint=0xD0, number=call, **endpoint_values)
             yield hit(at_ns + 4, "response_take", pid=2, endpoint=0xC0, service="/grasp", number=call, taken=1)
 
 
@@ -165,7 +165,7 @@ def test_each_request_without_an_answer_is_a_miss(tmp_path, capsys, limit, misse
     flows.finish(60 * S)
     case, written = gated(tmp_path, capsys, flows, f"service:/grasp={limit}")
     silent = "a request was sent 49.99 s ago and has no answer, though its client lives; and 19 more"
-    assert any(each.endswith(f": {silent}") for each in written.left_out) is (misses == 20)
+    assert any(remark.endswith(f": {silent}") for remark in written.left_out) is (misses == 20)
     assert (case["n"], case["misses"]) == (1000 + misses, misses)
 
 
