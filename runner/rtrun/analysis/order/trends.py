@@ -23,8 +23,10 @@ from rtrun.analysis.order.units_in_order import find_common_order, find_order, s
 from rtrun.analysis.trials import Trials
 from rtrun.kinds.values import Int64s
 
-# Higher than for events, because units are few: five boots, each worse than the last, have the chance 2/120.
-_SIGNIFICANT_OF_UNITS = 0.02
+# Higher than for events, because units are few: five boots, each worse than the last, have the chance 2/120; one of fifty
+# that alone is bad is the first or the last with 2/50.
+_SIGNIFICANT_OF_LEVELS = 0.02
+_SIGNIFICANT_OF_MISSES = 0.05
 LEAST_UNITS = 5
 # The chance of seeing a trend of the smallest size that an answer states.
 _POWER = 0.9
@@ -71,12 +73,12 @@ def changes_between(strata: Sequence[Sequence[Unit]], name: str, *, of_heights: 
     strata = [units for units in strata if len(units) > 1]
     if order := find_order([_miss_rates(units) for units in strata], by_height=True):
         text = f"misses come more often {order.words(name)}"
-        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_UNITS, text=text)
+        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_MISSES, text=text)
     order = find_order(levels_ns(strata), by_height=False) if of_heights else None
     # Falling heights do not weaken a proof.
     if order is not None and order.where in _WORSE:
         text = f"high values are higher {order.words(name)}"
-        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_UNITS, text=text, of_heights=True)
+        yield Change(p_value=order.p_value, significant=_SIGNIFICANT_OF_LEVELS, text=text, of_heights=True)
 
 
 def changes_laid_over(runs: Sequence[Unit], *, of_heights: bool) -> Iterator[Change]:
@@ -161,7 +163,7 @@ def _smallest_ns(strata: Sequence[Floats]) -> float | None:
         return None
     slope = _slope(strata)
     rest = sum(float(((levels - levels.mean() - slope * _places(levels.size)) ** 2).sum()) for levels in strata)
-    significant = _SIGNIFICANT_OF_UNITS / signs_looked_at(min(levels.size for levels in strata if levels.size))
+    significant = _SIGNIFICANT_OF_LEVELS / signs_looked_at(min(levels.size for levels in strata if levels.size))
     reach = student_quantile(1 - significant, degrees) + student_quantile(_POWER, degrees)
     return reach * (_OF_RANKS if units >= _MANY else _OF_FEW_RANKS) * float(np.sqrt(rest / degrees / spread))
 
@@ -173,7 +175,7 @@ def _reached_after(strata: Sequence[Sequence[Unit]], deadline_ns: int) -> float 
         for units in strata
     ]
     order, slope = find_order(highest, by_height=False), _slope(highest)
-    if order is None or order.p_value >= _SIGNIFICANT_OF_UNITS or order.where not in _WORSE or slope <= 0:
+    if order is None or order.p_value >= _SIGNIFICANT_OF_MISSES or order.where not in _WORSE or slope <= 0:
         return None
     last = max(float(values.mean() + slope * _places(values.size)[-1]) for values in highest)
     after = (deadline_ns - last) / slope
