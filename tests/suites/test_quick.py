@@ -116,6 +116,21 @@ def test_without_a_deadline_it_prints_figures_and_how_to_ask(quick, suites, tmp_
 
 
 @pytest.mark.root
+def test_while_another_run_traces_it_measures_without(quick, suites, tmp_path):
+    instance = Path("/sys/kernel/tracing/instances/rtrun")
+    instance.mkdir()
+    try:
+        _, printed, errors = quick(
+            "--deadline", "60s", "--for", "2s", "--suites", suites, "--suite", "oneshot_timer_tests"
+        )
+    finally:
+        instance.rmdir()
+    assert "measures without the kernel's trace of late values: another run uses it" in errors
+    (run,) = yaml.safe_load((tmp_path / "results/quick/campaign.yml").read_text())["runs"]
+    assert "trace" not in run and "How many are late" in printed
+
+
+@pytest.mark.root
 def test_programs_get_the_same_as_json(quick, suites, tmp_path):
     words = ["--for", "2s", "--suites", suites, "--suite", "cyclic_timer_tests", "--json"]
     _, printed, _ = quick("--deadline", "60s", *words)

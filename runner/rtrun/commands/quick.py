@@ -193,7 +193,16 @@ def _as_root() -> str:
 
 
 def _can_trace(link: "Link") -> bool:
-    return link.run(["sh", "-c", "[ -w /sys/kernel/tracing/instances ]"]).status == 0
+    """Whether this user may trace, and no other run does; a trace that was left behind is removed, as trace.sh does."""
+    from rtfiles.output import print_note
+
+    if link.run(["sh", "-c", "[ -w /sys/kernel/tracing/instances ]"]).status:
+        return False
+    is_free = '[ ! -d "$1" ] || { [ -n "$(find "$1" -maxdepth 0 -mmin +1)" ] && rmdir "$1"; } 2>/dev/null'
+    if link.run(["sh", "-c", is_free, "sh", "/sys/kernel/tracing/instances/rtrun"]).status == 0:
+        return True
+    print_note("rtrun: measures without the kernel's trace of late values: another run uses it")
+    return False
 
 
 def _why_no_p(group: "Group") -> str | None:

@@ -51,7 +51,7 @@ def lines(study: Study, shown: Sequence[Scenario]) -> Table:
         text = sentence(scenario)
         if scenario.group.key in study.members and scenario.answer == Answer.NEEDS_MORE:
             # All boards together are decided, or say what is missing.
-            text = f"{text.partition(';')[0]}; judged together with the other boards"
+            text = f"{text.partition(';')[0]}; not decided for this board alone: see all boards together"
         rows.append((study.short_name(scenario.group), text.removesuffix(common)))
     return Table(columns=("", ""), rows=rows)
 
