@@ -23,8 +23,8 @@ from rtrun.analysis.order.units_in_order import find_common_order, find_order, s
 from rtrun.analysis.trials import Trials
 from rtrun.kinds.values import Int64s
 
-# Higher than for events, because units are few: five boots, each worse than the last, have the chance 2/120. If one boot
-# of fifty is bad, it is the first or the last with the chance 2/50.
+# Higher than for events, because units are few: five boots, each worse than the last, have the chance 2/120. The only
+# bad boot of fifty is the first or the last with the chance 2/50.
 _SIGNIFICANT_OF_LEVELS = 0.02
 _SIGNIFICANT_OF_MISSES = 0.05
 LEAST_UNITS = 5
