@@ -58,7 +58,10 @@ def test_a_traced_run_has_a_twin_and_no_warm_up(tmp_path):
         ("subject: {start: x, redy: topic /a}\n" + RUNS, "subject: unknown key 'redy', did you mean 'ready'"),
         ("subject: {ready: topic /a}\n" + RUNS, "subject: start: takes the command"),
         ("subject: {start: x, ready: /a}\n" + RUNS, "subject: ready: takes topic NAME, as topic /cmd_vel, got '/a'"),
-        ("subject: {start: x, ready: topic a}\n" + RUNS, "subject: 'a': the full name of a topic begins with /"),
+        (
+            "subject: {start: x, ready: topic a}\n" + RUNS,
+            "subject: 'a': the full name of a topic or a service begins with /",
+        ),
         (SUBJECT + "deadline: [/a=1ms]\n" + RUNS, "unknown key 'deadline', did you mean 'deadlines'"),
         (SUBJECT + "deadlines: [/x=5ms, /x=9ms]\n" + RUNS, "deadlines.1: messages:/x=9000000ns: it has another"),
         (SUBJECT + "deadlines: ['timr:/a=1ms']\n" + RUNS, "4: deadlines.0: 'timr:/a=1ms': takes TOPIC=TIME"),
