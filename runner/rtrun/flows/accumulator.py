@@ -129,6 +129,7 @@ class FlowAccumulator:
                 topics.expire(at_ns)
                 state.store.ease()
         topics.expire(self.newest_ns)
+        self.services.expire()
         state.store.ease()
         self._programs.feed += 1
 

@@ -93,12 +93,13 @@ class Client(LivingThing):
 
     def numbered(self, number: int) -> Request | None:
         """The open request of this number; None if that is not certain."""
-        known = next((request for request in self.open if request.number == number), None)
+        if (known := next((request for request in self.open if request.number == number), None)) is not None:
+            return known
         others = [request for request in self.open if request.number is None and request.above < number]
-        if known is None and len(others) == 1:
-            known = others[0]
-            known.number = number
-        return known
+        if len(others) != 1:
+            return None
+        others[0].number = number
+        return others[0]
 
     def next_answered(self, at_ns: int) -> Request | None:
         """The only answered request whose answer it can take now; None if there is none, or if there are several.

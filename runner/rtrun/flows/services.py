@@ -6,6 +6,7 @@ answers it last looked for one, and a client takes an answer at its first look a
 """
 
 from collections.abc import Callable
+from itertools import chain, islice
 from typing import TypeVar
 
 from rtrun.flows.observation_state import FAULT, ObservationState
@@ -34,8 +35,14 @@ class ServiceRecord:
             "response_take": self._take_answer,
         }
         self._state = state
-        self._clients: list[Client] = []
+        self._of_service: dict[str, list[Client]] = {}
         self._by_key: dict[Key, Client] = {}
+
+    def expire(self) -> None:
+        """Forget clients that have ended."""
+        alive = {name: [client for client in known if client.is_alive] for name, known in self._of_service.items()}
+        self._of_service = {name: clients for name, clients in alive.items() if clients}
+        self._by_key = {key: client for key, client in self._by_key.items() if client.is_alive}
 
     # What happens to a request, in this order.
 
@@ -109,7 +116,7 @@ class ServiceRecord:
         A request that no server took counts for the server that answered the client last, if one did.
         """
         found: dict[ServicePair, list[int]] = {}
-        for client in self._clients:
+        for client in chain.from_iterable(self._of_service.values()):
             if not client.is_alive or client.epoch != self._state.epoch:
                 continue
             for request in client.open:
@@ -136,7 +143,7 @@ class ServiceRecord:
         client = self._by_key.get(key) if key is not None else None
         if key is not None and client is None:
             # Of some middlewares it cannot be read how a client is named: an only one is the one.
-            alike = [known for known in self._clients if known.service == server.service and known.is_alive]
+            alike = [*islice((known for known in self._of_service.get(server.service, ()) if known.is_alive), 2)]
             if len(alike) == 1 and alike[0].key is None:
                 client = self._by_key[key] = alike[0]
         if client is None or not client.is_alive or not isinstance(number, int):
@@ -174,9 +181,7 @@ class ServiceRecord:
         thing = things[handle] = make(process, service)
         thing.label = state.label_of(thing, hit.values.get("node"), (make.__name__, service))
         if isinstance(thing, Client):
-            self._clients = [client for client in self._clients if client.is_alive]
-            self._clients.append(thing)
-            self._by_key = {key: client for key, client in self._by_key.items() if client.is_alive}
+            self._of_service.setdefault(service, []).append(thing)
         return thing
 
 
