@@ -31,7 +31,7 @@ from rtrun.targets.link import Link, TargetRebooted
 
 # Events that are not read here, and the number of the others per second on a busy machine.
 _FOR_PEOPLE = ("osnoise",)
-_KERNEL_EVENTS_PER_S = 80_000
+_KERNEL_EVENTS_PER_S = 80_000  # by which a time is computed
 # A program that restarts is back within this time.
 GONE_NS = 10 * 10**9
 NOTHING = "no program runs there that uses ROS, and no thread with a real-time policy"

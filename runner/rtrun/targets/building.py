@@ -16,8 +16,8 @@ NAME = "build"
 BUILT = "built"
 SCRIPT = "build_suites.sh"
 # A slow board with one CPU takes half an hour.
-BUILD_S = 3 * 3600.0
-END_GRACE_S = 60.0
+BUILD_S = 3 * 3600.0  # of our own build program
+END_GRACE_S = 60.0  # of our own build program, to end what it has started
 # How much of an error's output is shown.
 SHOWN_LINES = 16
 SHOWN_CHARACTERS = 8000

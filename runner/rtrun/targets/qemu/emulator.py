@@ -23,7 +23,7 @@ from rtrun.targets.errors import TargetError, TargetGone
 from rtrun.targets.inspection.platform import KnownPlatform, Platform
 from rtrun.targets.qemu import kvm, qmp
 
-STOP_S = 5.0
+STOP_S = 5.0  # of QEMU on this machine
 
 
 class Kvm(Config):

@@ -10,7 +10,7 @@ from pathlib import Path
 from rtfiles.output import print_note
 
 # Such a guest takes a second if KVM works, and never ends if KVM hangs.
-DEADLINE_S = 10.0
+DEADLINE_S = 10.0  # of QEMU on this machine
 
 
 @functools.cache
