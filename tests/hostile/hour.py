@@ -13,14 +13,12 @@ TOP = Path(__file__).parents[2]
 sys.path[:0] = [str(TOP / folder) for folder in ("runner", "tools")]
 sys.path += [str(TOP / "tests/rtrun")]
 from made_flows import hit  # noqa: E402
-from written import write_record  # noqa: E402
+from written import stream_facts  # noqa: E402
 
-from rtrun.execution.stream_runs import StreamFacts, write_streams  # noqa: E402
+from rtrun.execution.stream_runs import write_streams  # noqa: E402
 from rtrun.flows.accumulator import FlowAccumulator  # noqa: E402
 from rtrun.flows.rows import RowStore  # noqa: E402
 from rtrun.flows.streams import streams  # noqa: E402
-from rtrun.results.record import read_record  # noqa: E402
-from rtrun.targets.inspection.facts import TargetState  # noqa: E402
 
 PERIOD_NS = 100_000
 AT_ONCE = 50_000
@@ -58,16 +56,7 @@ def main() -> None:
         observed.newest_ns = int(at[-1]) + 90
         observed.state.store.ease()
     observed.finish()
-    (folder / "facts").mkdir()
-    write_record(folder / "facts", "observed_intervals", [], {}, subject="attached")
-    facts = StreamFacts(
-        record=read_record(folder / "facts"),
-        state=TargetState(),
-        start_time="2026-11-21T10:00:00Z",
-        end_time="2026-11-21T11:00:00Z",
-        deadlines=[],
-        programs=lambda *_: (),
-    )
+    facts = stream_facts(folder / "facts")
     (folder / "results").mkdir()
     written = write_streams(folder / "results/001", facts, streams(observed), {})
     assert not any((written.left_out, written.not_kept, written.unseen)), written

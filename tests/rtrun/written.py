@@ -2,13 +2,18 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtrun.execution.stream_runs import StreamFacts
 from rtrun.plan import suites
+from rtrun.plan.observation import StreamDeadline
+from rtrun.results.record import ProgramRecord, read_record
+from rtrun.targets.inspection.facts import TargetState
 
 NOT_FIRED = -(2**63)
 OTHER = {"policy": "OTHER", "priority": 0}
@@ -154,6 +159,20 @@ def write_record(folder: Path, suite: str, outputs: list[str], parameters: dict[
     path = folder / "run.json"
     path.write_text(json.dumps(record | changed))
     return path
+
+
+def stream_facts(folder: Path, *deadlines: StreamDeadline, programs: Sequence[ProgramRecord] = ()) -> StreamFacts:
+    """What the streams of an observing run share, whose record is written to `folder`, which is made."""
+    folder.mkdir()
+    write_record(folder, "observed_intervals", [], {}, subject="attached")
+    return StreamFacts(
+        record=read_record(folder),
+        state=TargetState(),
+        start_time="2026-11-21T10:00:00Z",
+        end_time="2026-11-21T10:01:00Z",
+        deadlines=deadlines,
+        programs=lambda *_: programs,
+    )
 
 
 def close(folder, *names):

@@ -5,16 +5,15 @@ from itertools import chain
 
 import pytest
 from made_flows import MS, S, gap, hit, node, publish, take
-from written import write_record
+from written import stream_facts, write_record
 
 from rtrun.cli import main
-from rtrun.execution.stream_runs import StreamFacts, put_aside, write_streams
+from rtrun.execution.stream_runs import put_aside, write_streams
 from rtrun.flows.accumulator import FlowAccumulator
 from rtrun.flows.live import LiveFigures
 from rtrun.flows.streams import streams
 from rtrun.plan.observation import read_stream_deadline
-from rtrun.results.record import ProgramRecord, read_record
-from rtrun.targets.inspection.facts import TargetState
+from rtrun.results.record import ProgramRecord
 
 
 def test_streams_of_an_earlier_attempt_are_put_aside_and_no_others(tmp_path):
@@ -53,17 +52,7 @@ def callback_without_an_end():
 
 def gated(tmp_path, capsys, flows, deadline):
     """What `rtrun gate` prints of the only stream with a deadline, and what was written."""
-    (tmp_path / "facts").mkdir()
-    write_record(tmp_path / "facts", "observed_intervals", [], {}, subject="attached")
-    times = {"start_time": "2026-11-21T10:00:00Z", "end_time": "2026-11-21T10:01:00Z"}
-    deadlines = [read_stream_deadline(deadline)]
-    facts = StreamFacts(
-        record=read_record(tmp_path / "facts"),
-        state=TargetState(),
-        deadlines=deadlines,
-        programs=lambda *_: (),
-        **times,
-    )
+    facts = stream_facts(tmp_path / "facts", read_stream_deadline(deadline))
     (tmp_path / "results").mkdir()
     written = write_streams(tmp_path / "results/001", facts, streams(flows), {})
     assert main(["gate", str(tmp_path / "results"), "--probability", "1e-3", "--json"]) == 1
@@ -175,16 +164,8 @@ def test_a_deadline_of_a_node_that_was_not_seen_tells_which_names_there_are(tmp_
     flows.observe([node(1, "talker"), node(2, "other")])
     flows.feed(sorted(timer_that_is_not_called() + silent_publisher()))
     flows.finish(20 * S)
-    (tmp_path / "facts").mkdir()
-    write_record(tmp_path / "facts", "observed_intervals", [], {}, subject="attached")
-    facts = StreamFacts(
-        record=read_record(tmp_path / "facts"),
-        state=TargetState(),
-        start_time="2026-11-21T10:00:00Z",
-        end_time="2026-11-21T10:01:00Z",
-        deadlines=[read_stream_deadline("timer:/truth/truth_talker=1ms")],
-        programs=lambda parameters, _: [ProgramRecord(name="talker", argv=[], pid=42)],
-    )
+    talker = ProgramRecord(name="talker", argv=[], pid=42)
+    facts = stream_facts(tmp_path / "facts", read_stream_deadline("timer:/truth/truth_talker=1ms"), programs=[talker])
     (unseen,) = write_streams(tmp_path / "001", facts, streams(flows), {}).unseen
     assert unseen == (
         "timer /truth/truth_talker: it was not seen; a node that ran before has the name of its program: "
