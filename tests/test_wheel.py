@@ -75,7 +75,7 @@ COMMANDS = [
     (
         "rtrun bisect archive --order order.txt --deadline 1ms",
         2,
-        "order.txt: none of its 1 lines is the commit of a run",
+        "order.txt: 1 line, but no commit of a run in ",
     ),
     ("rtrun site archive --output site", 0, "site/index.html"),
     ("rtrun farm --target missing.yml", 2, "missing.yml: No such file"),

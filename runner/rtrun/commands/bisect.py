@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print a line for each figure that got worse: between which versions, and what to measure next."""
     from rtfiles.errors import UsageError
-    from rtfiles.output import print_json, print_line
+    from rtfiles.output import counted, print_json, print_line
     from rtfiles.untrusted import read_text
 
     text = sys.stdin.read() if args.order == Path("-") else read_text(args.order, max_bytes=1 << 26)
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
 
     if not any(run.facts.get(args.by) in order for course in known for run in course.runs):
         raise UsageError(
-            f"{args.order}: none of its {len(order)} lines is the {args.by} of a run in {args.archive}: "
+            f"{args.order}: {counted(len(order), 'line')}, but no {args.by} of a run in {args.archive} among them: "
             f"rtrun archive add takes it with --{args.by.partition(' ')[0]}"
         )
     suspects = [

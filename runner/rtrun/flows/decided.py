@@ -16,7 +16,7 @@ _ONES = np.unpackbits(np.arange(256, dtype=np.uint8)[:, np.newaxis], axis=1).sum
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairCounts:
-    """How many messages of a publisher came to a subscriber, and what became of the others.
+    """How many messages of a publisher came to a subscriber, and how many did not.
 
     published = received + lost + ambiguous + undecided. A lost message lies between the first and the last received
     one, was never received, and was overtaken longer ago than any message took to come. Undecided messages lie before

@@ -254,7 +254,7 @@ def test_bisect_ends_at_the_first_version_that_is_worse(capsys, tmp_path):
     assert "    1.10 is the first one that is worse" in capsys.readouterr().out.splitlines()
     order.write_text("2.0\n")
     assert main(["bisect", str(archive), "--by", "package roscpp", "--order", str(order)]) == 2
-    assert "none of its 1 lines is the package roscpp of a run" in capsys.readouterr().err
+    assert "1 line, but no package roscpp of a run in " in capsys.readouterr().err
 
 
 def test_bisect_of_a_steady_course(capsys, steady, tmp_path):
