@@ -105,8 +105,7 @@ def run(args: argparse.Namespace) -> int:
     atomic.write_named(report, page.html(examined, written).encode("utf-8", "replace"))
     print_status("")
     if args.json:
-        asked_for = {"deadline_ns": args.deadline, "runs": statuses}
-        print_json(_as_data(examined, written, findings, results, args.thread) | asked_for)
+        print_json(_as_data(examined, written, findings, results, args) | {"runs": statuses})
     else:
         _print(examined, written, findings, results, file, args.thread)
     with beside_the_answer(args.json):
@@ -214,9 +213,9 @@ def _why_no_p(group: "Group") -> str | None:
 
 
 def _as_data(
-    study: "Study", written: "Contents", findings: "list[CheckResult]", results: Path, loop: str | None
+    study: "Study", written: "Contents", findings: "list[CheckResult]", results: Path, args: argparse.Namespace
 ) -> dict[str, Any]:
-    """What `_print` prints, as docs/formats.md describes it, but for what was asked for."""
+    """What `_print` prints, as docs/formats.md describes it."""
     from rtrun.judgement.digest import pool_figures
     from rtrun.targets.inspection import rt_readiness
 
@@ -230,12 +229,13 @@ def _as_data(
             "worst_ns": verdict.worst_ns if verdict else pool_figures(group.digests).max_ns,
         }
         for group in study.groups
-        if _is_asked_for(group, loop)
+        if _is_asked_for(group, args.thread)
     ]
     return {
         "schema": 1,
         "platform": study.platform,
         "results": str(results),
+        "deadline_ns": args.deadline,
         "confidence": study.question.confidence,
         "groups": groups,
         "left_out": study.left_out,

@@ -39,11 +39,9 @@ def counts_in_words(answers: Sequence[str], yes: str = "met", no: str = "not met
 
     `of_what` follows the first number.
     """
-    counts = [(answer, n) for answer in _COUNTED if (n := answers.count(answer))]
-    whats = (of_what, *("" for _ in counts[1:]))
+    counts = [(words, n) for answer, words in _COUNTED.items() if (n := answers.count(answer))]
     return ", ".join(
-        _COUNTED[answer].format(yes=yes, no=no, n=f"{n}{what}")
-        for (answer, n), what in zip(counts, whats, strict=False)
+        words.format(yes=yes, no=no, n=n if place else f"{n}{of_what}") for place, (words, n) in enumerate(counts)
     )
 
 

@@ -168,9 +168,7 @@ def _next_step(shown: Sequence[Scenario], study: Study, culprits: Ranking) -> st
     if culprits.outliers and answers & {Answer.REFUTED, Answer.NEEDS_MORE, Answer.NO_DEADLINE}:
         advice = next(causes.remedies(culprits), "")
         return f"{causes.answer(culprits)}{f'. {advice}' if advice else ''}"
-    open_ = [
-        verdict for scenario in shown if (verdict := scenario.group.verdict) and verdict.answer is Answer.NEEDS_MORE
-    ]
+    open_ = [verdict for verdict in _open(shown) if verdict]
     bad = [verdict for scenario in shown if (verdict := scenario.group.verdict) and is_likely_refuted(verdict)]
     undecided = bad or [verdict for verdict in open_ if verdict.decided_after is None]
     if undecided and all(
